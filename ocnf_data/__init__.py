@@ -1,0 +1,50 @@
+"""Grid-octree training data from meshes and posed depth scans.
+
+Public names resolve on first use, so `import ocnf_data` loads neither torch nor trimesh nor OpenGL.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "GridOctree": "octree",
+    "OcnfError": "errors",
+    "Report": "generation",
+    "ShardDataset": "loader",
+    "Views": "cameras",
+    "fuse_histogram": "fusion",
+    "fuse_occupancy": "fusion",
+    "fuse_tdf_occupancy": "fusion",
+    "fuse_tsdf": "fusion",
+    "generate": "generation",
+    "load_manifest": "manifest",
+    "render_depth": "render",
+}
+
+__all__ = sorted(_HOME)
+
+if TYPE_CHECKING:
+    from ocnf_data.cameras import Views
+    from ocnf_data.errors import OcnfError
+    from ocnf_data.fusion import fuse_histogram, fuse_occupancy, fuse_tdf_occupancy, fuse_tsdf
+    from ocnf_data.generation import Report, generate
+    from ocnf_data.loader import ShardDataset
+    from ocnf_data.manifest import load_manifest
+    from ocnf_data.octree import GridOctree
+    from ocnf_data.render import render_depth
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'ocnf_data' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"ocnf_data.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,73 @@
+"""The one error class: every message names what, where, what was found, what was expected, what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class OcnfError(Exception):
+    """Bad input, a damaged file, a setting that does not fit: anything that a user can mend.
+
+    The message is a sentence built from the parts that are given:
+
+    >>> print(OcnfError("resolution is not a multiple of 8", where="demo.yaml", field="resolutions[1]",
+    ...                 found=100, expected="64, 128, 256 or 512", fix="round it to the next one"))
+    demo.yaml: resolutions[1]: resolution is not a multiple of 8; found 100, expected 64, 128, 256 or 512. \
+Round it to the next one.
+
+    Args:
+        what: what is wrong, as a clause without a final stop.
+        code: a short machine-readable reason (`unreadable`, `empty`, `checksum`, ...), which is what
+            `failures.jsonl` records.
+        where: the file, URL or object concerned.
+        field: the field, member or axis in it.
+        found: the offending value (shortened to 200 characters).
+        expected: what would have been right.
+        fix: what the user can do about it, as a clause.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        code: str = "invalid",
+        where: object = None,
+        field: str | None = None,
+        found: object = None,
+        expected: object = None,
+        fix: str | None = None,
+    ) -> None:
+        self.what = what
+        self.code = code
+        self.where = None if where is None else str(where)
+        self.field = field
+        self.found = None if found is None else _shorten(str(found))
+        self.expected = None if expected is None else str(expected)
+        self.fix = fix
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        head = ": ".join(part for part in (self.where, self.field, self.what) if part)
+        facts = []
+        if self.found is not None:
+            facts.append(f"found {self.found}")
+        if self.expected is not None:
+            facts.append(f"expected {self.expected}")
+        text = head + ("; " + ", ".join(facts) if facts else "")
+        if self.fix:
+            text += f". {self.fix[:1].upper()}{self.fix[1:]}."
+        return text
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep every part when the error crosses a process boundary (pickle would call `cls(message)`)."""
+        state = (self.what, self.code, self.where, self.field, self.found, self.expected, self.fix)
+        return _rebuild, (type(self), *state)
+
+
+def _rebuild(cls: type[OcnfError], what: str, code: str, where: str | None, field: str | None,
+             found: str | None, expected: str | None, fix: str | None) -> OcnfError:
+    return cls(what, code=code, where=where, field=field, found=found, expected=expected, fix=fix)
+
+
+def _shorten(text: str, limit: int = 200) -> str:
+    return text if len(text) <= limit else text[: limit - 3] + "..."
