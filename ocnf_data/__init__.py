@@ -25,7 +25,20 @@ _HOME = {
     "render_depth": "render",
 }
 
-__all__ = sorted(_HOME)
+__all__ = [
+    "GridOctree",
+    "OcnfError",
+    "Report",
+    "ShardDataset",
+    "Views",
+    "fuse_histogram",
+    "fuse_occupancy",
+    "fuse_tdf_occupancy",
+    "fuse_tsdf",
+    "generate",
+    "load_manifest",
+    "render_depth",
+]
 
 if TYPE_CHECKING:
     from ocnf_data.cameras import Views
