@@ -1,0 +1,384 @@
+"""Whole files in a local folder or under any fsspec URL; no reader ever meets half of one.
+
+A file under its final name is whole. Locally it is written under a temporary name in the same folder,
+flushed to the disk, renamed, and the folder is flushed too; a process killed in between leaves a file named
+`.tmp-*`, which `list` does not show and `clean_temporaries` removes. Remotely it is made on the local disk
+and sent as one PUT: on an object store (S3, GCS, Azure) that is atomic; over protocols where a PUT is a
+stream of writes (SFTP, WebDAV) it is not, which is why the shards' indices, written after them, decide.
+
+Every failure is an `OcnfError` with the code `missing`, `permission`, `disk_full`, `unreachable`, `truncated`
+or `io`, that names the file.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import IO, TYPE_CHECKING, Any, cast
+
+from ocnf_data.errors import OcnfError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+TEMPORARY_PREFIX = ".tmp-"
+_LOCAL_PROTOCOLS = frozenset({"file", "local"})
+# One letter would be a Windows drive. `pipe:ls` has no slashes, and must not pass for a relative path.
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):(//)?")
+# s3fs holds what it sends in one PUT in memory, and splits from 100 MB on unless told otherwise. A split
+# upload appears as a whole too, but leaves parts that cost money where its process is killed.
+_LARGEST_PUT = 2**30
+
+_REASONS: dict[int, tuple[str, str]] = {
+    errno.ENOSPC: ("disk_full", "the disk is full"),
+    errno.EDQUOT: ("disk_full", "the disk quota is used up"),
+    errno.EACCES: ("permission", "permission denied"),
+    errno.EPERM: ("permission", "permission denied"),
+    errno.EROFS: ("permission", "the file system is read-only"),
+    errno.ENOENT: ("missing", "no such file or folder"),
+    errno.ENOTDIR: ("missing", "a part of the path is a file, not a folder"),
+    errno.EEXIST: ("io", "a file is in the place of a folder"),
+    errno.EISDIR: ("io", "is a folder, not a file"),
+}
+_FIXES = {
+    "disk_full": "free some space and run the same command again: what is finished is kept",
+    "permission": "check who may read and write there, and the credentials if it is remote",
+    "unreachable": "check the network, the endpoint and the credentials",
+}
+# Their errors are no OSErrors, and the libraries are optional, so they are known by name.
+_NETWORK_LIBRARIES = frozenset({"aiobotocore", "aiohttp", "botocore", "gcsfs", "requests", "urllib3"})
+
+
+@contextmanager
+def storage_errors(where: object) -> Iterator[None]:
+    """Turn the failures of files and connections inside the block into `OcnfError`.
+
+    Args:
+        where: the file or URL the block is about; an OSError that names another file is reported under that.
+    """
+    try:
+        yield
+    except OcnfError:
+        raise
+    except Exception as error:
+        translated = _translate(error, where)
+        if translated is None:  # a bug or somebody else's error
+            raise
+        raise translated from error
+
+
+class Store:
+    """A folder of whole files: a local path, `file://...`, or any URL that fsspec opens (`s3://bucket/set`).
+
+    Names are relative POSIX paths such as `train/shard-000000.tar`. A store is cheap to make and to pickle:
+    it connects on first use. Credentials and endpoints are fsspec's: environment variables (`AWS_...`,
+    `AWS_ENDPOINT_URL`) or its configuration files, so that workers find them too.
+
+    Raises:
+        OcnfError: an unknown protocol, a chained one (`a::b`), or one whose library is not installed.
+    """
+
+    def __init__(self, url: str | os.PathLike[str]) -> None:
+        text = os.fspath(url)
+        self.protocol, path = _split(text)
+        self.root: Path | None = None
+        if self.protocol in _LOCAL_PROTOCOLS:
+            self.root = Path(path).expanduser().absolute()
+            self.url = str(self.root)
+        else:
+            self.url = text.rstrip("/") if path else text
+
+    def __repr__(self) -> str:
+        return f"Store({self.url!r})"
+
+    def __str__(self) -> str:
+        return self.url
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Store, (self.url,)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the files are on a local (or mounted) disk."""
+        return self.root is not None
+
+    @property
+    def shared_between_processes(self) -> bool:
+        """False for `memory://`, where what a worker process writes is lost."""
+        return self.protocol != "memory"
+
+    def child(self, name: str) -> Store:
+        """The store of a folder in this one."""
+        return Store(self.where(name))
+
+    def where(self, name: str) -> str:
+        """The full path or URL of a file, for messages and for `Store` or fsspec elsewhere."""
+        return f"{self.url.rstrip('/')}/{_checked(name)}"
+
+    def local_path(self, name: str) -> Path | None:
+        """The file's path on this machine, or None where the store is remote."""
+        return None if self.root is None else self.root / _checked(name)
+
+    # ---- reading
+
+    def open(self, name: str) -> IO[bytes]:
+        """The file, open for reading bytes; seekable. Wrap reads in `storage_errors(store.where(name))`."""
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if path is not None:
+                return path.open("rb")
+            return cast(IO[bytes], self._fs.open(self._remote(name), "rb"))
+
+    def read_bytes(self, name: str) -> bytes:
+        """The whole file. The caller bounds it with `size` where the file is not trusted."""
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if path is not None:
+                return path.read_bytes()
+            return cast(bytes, self._fs.cat_file(self._remote(name)))
+
+    def read_range(self, name: str, offset: int, size: int) -> bytes:
+        """Exactly `size` bytes from `offset`.
+
+        Raises:
+            OcnfError: code `truncated` where the file ends before that.
+        """
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if size == 0:
+                data = b""
+            elif path is not None:
+                with path.open("rb", buffering=0) as file:
+                    file.seek(offset)
+                    data = _read_exactly(file, size)
+            else:
+                end = min(offset + size, self.size(name))  # servers answer a range past the end with an error
+                data = self._fs.cat_file(self._remote(name), start=offset, end=end) if end > offset else b""
+        if len(data) != size:
+            raise OcnfError("the file ends too early", code="truncated", where=self.where(name),
+                            found=f"{offset + len(data)} bytes", expected=f"at least {offset + size}")
+        return data
+
+    def exists(self, name: str) -> bool:
+        """Whether the file is there (a folder is not a file). Failing to find out is an error, not False."""
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if path is not None:
+                return path.is_file()
+            try:
+                return self._info(name)["type"] == "file"
+            except FileNotFoundError:
+                return False
+
+    def size(self, name: str) -> int:
+        """Size of the file in bytes."""
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            return path.stat().st_size if path is not None else int(self._info(name)["size"])
+
+    def list(self, folder: str = "") -> list[str]:
+        """Names of all files in `folder` and below, sorted; without temporaries; [] for a missing folder."""
+        with storage_errors(self.url):
+            if self.root is not None:
+                names = [name for name in self._walk(folder) if not _is_temporary(name)]
+            else:
+                base = self._remote(folder) if folder else self._remote_root
+                self._fs.invalidate_cache()  # another process may have written since
+                try:
+                    found = self._fs.find(base)
+                except FileNotFoundError:
+                    found = []
+                cut = len(self._remote_root.strip("/")) + 1 if self._remote_root.strip("/") else 0
+                names = [path.strip("/")[cut:] for path in found]
+        return sorted(names)
+
+    # ---- writing
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """A local path to write to; the file gets its name when the block ends, and not if it raises.
+
+        >>> with store.writing("train/shard-000000.tar") as path:      # doctest: +SKIP
+        ...     write_tar(path)
+        """
+        with storage_errors(self.where(name)):
+            if self.root is None:
+                with tempfile.TemporaryDirectory(prefix=TEMPORARY_PREFIX + "ocnf-") as folder:
+                    path = Path(folder) / PurePosixPath(name).name
+                    yield path
+                    self._put(path, name)
+                return
+            final = self.root / _checked(name)
+            _make_folder(final.parent)
+            # Not mkstemp: its files are unreadable for the group, whatever the umask says.
+            path = final.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}-{final.name}")
+            try:
+                yield path
+                _flush(path)
+                path.replace(final)
+                _flush(final.parent)
+            finally:
+                path.unlink(missing_ok=True)
+
+    def put_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
+        """Write a whole file, replacing one of that name."""
+        with self.writing(name) as path:
+            path.write_bytes(data)
+
+    def put_file(self, local: str | os.PathLike[str], name: str) -> None:
+        """Copy a local file to `name`; the local file stays. To write without a copy use `writing`."""
+        if self.root is None:
+            with storage_errors(self.where(name)):
+                self._put(Path(local), name)
+            return
+        with self.writing(name) as path:
+            shutil.copyfile(local, path)
+
+    def remove(self, name: str) -> None:
+        """Delete a file; one that is not there is no error."""
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if path is not None:
+                path.unlink(missing_ok=True)
+            elif self.exists(name):
+                self._fs.rm_file(self._remote(name))
+
+    def clean_temporaries(self, folder: str = "") -> Sequence[str]:
+        """Remove what killed writers left in `folder` and below, and return the names.
+
+        Only where nobody is writing: a live writer's temporary looks the same.
+        """
+        if self.root is None:  # remote temporaries never get a name there
+            return []
+        with storage_errors(self.url):
+            left = sorted(name for name in self._walk(folder) if _is_temporary(name))
+            for name in left:
+                (self.root / name).unlink(missing_ok=True)
+        return left
+
+    # ---- the two kinds of place
+
+    def _walk(self, folder: str) -> Iterator[str]:
+        assert self.root is not None
+        base = self.root / _checked(folder) if folder else self.root
+
+        def fail(error: OSError) -> None:  # os.walk's default is to skip unreadable folders in silence
+            if error.errno != errno.ENOENT:
+                raise error
+
+        for parent, _, files in os.walk(base, onerror=fail):
+            for file in files:
+                yield (Path(parent) / file).relative_to(self.root).as_posix()
+
+    @cached_property
+    def _fs(self) -> AbstractFileSystem:
+        import fsspec
+
+        try:
+            return fsspec.filesystem(self.protocol)
+        except ImportError as error:
+            raise OcnfError(f"{self.protocol}:// needs a library that is not installed ({error})",
+                            code="missing_extra", where=self.url, fix="pip install 'ocnf[remote]'") from error
+
+    @cached_property
+    def _remote_root(self) -> str:
+        return cast(str, self._fs._strip_protocol(self.url)).rstrip("/")
+
+    def _remote(self, name: str) -> str:
+        return f"{self._remote_root}/{_checked(name)}"
+
+    def _info(self, name: str) -> dict[str, Any]:
+        self._fs.invalidate_cache()  # another process may have written since
+        return cast(dict[str, Any], self._fs.info(self._remote(name)))
+
+    def _put(self, path: Path, name: str) -> None:
+        options = {}
+        if self.protocol in ("s3", "s3a") and path.stat().st_size < _LARGEST_PUT:
+            options["chunksize"] = _LARGEST_PUT // 2  # s3fs splits at twice the chunk
+        self._fs.put_file(str(path), self._remote(name), **options)
+
+
+def _split(text: str) -> tuple[str, str]:
+    """(protocol, path) of a path or URL; refuses everything that is not one plain, known protocol."""
+    scheme = _SCHEME.match(text)
+    if not text or "\0" in text:
+        raise OcnfError("not a path or URL", where="storage", found=repr(text))
+    if scheme is None:
+        return "file", text
+    protocol = scheme[1].lower()
+    if scheme[2] is None:
+        raise OcnfError("commands and protocols without // are not opened", code="refused", where=text,
+                        found=f"{scheme[1]}:", expected="a path, or a URL such as s3://bucket/folder",
+                        fix="write ./ before a local path that holds a colon")
+    if "::" in text:
+        raise OcnfError("chained URLs are not opened", code="refused", where=text, expected="one plain URL")
+    import fsspec
+
+    if protocol not in fsspec.available_protocols():
+        raise OcnfError("unknown protocol", code="refused", where=text, found=f"{protocol}://",
+                        expected="a path, or a URL that fsspec opens: s3://, gs://, az://, memory://, ...")
+    return protocol, text[scheme.end():]
+
+
+def _checked(name: str) -> str:
+    """The name, if it is a plain relative POSIX path that stays inside the store."""
+    parts = name.split("/")
+    if any(part in ("", ".", "..") for part in parts) or "\\" in name or "\0" in name:
+        raise OcnfError("not a name inside the store", code="refused", where=repr(name),
+                        expected="a relative path such as train/shard-000000.tar, without . or ..")
+    return name
+
+
+def _is_temporary(name: str) -> bool:
+    return PurePosixPath(name).name.startswith(TEMPORARY_PREFIX)
+
+
+def _read_exactly(file: IO[bytes], size: int) -> bytes:
+    """Up to `size` bytes; the kernel may give fewer at a time."""
+    data = file.read(size) or b""
+    while len(data) < size and (more := file.read(size - len(data))):
+        data += more
+    return data
+
+
+def _flush(path: Path) -> None:
+    """Flush a file or folder to the disk: after a power cut, what was renamed is there, contents and all."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder and its parents, and flush every new entry."""
+    if folder.is_dir():
+        return
+    _make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    _flush(folder.parent)
+
+
+def _translate(error: Exception, where: object) -> OcnfError | None:
+    """The OcnfError for a failure of a file system or network; None for anything else."""
+    network = type(error).__module__.partition(".")[0] in _NETWORK_LIBRARIES
+    if network or isinstance(error, ConnectionError | TimeoutError):
+        code, what = "unreachable", f"cannot be reached ({type(error).__name__}: {error})"
+    elif not isinstance(error, OSError):
+        return None
+    else:
+        number = error.errno
+        if number is None:  # fsspec raises plain FileNotFoundError(path)
+            number = {FileNotFoundError: errno.ENOENT, PermissionError: errno.EACCES}.get(type(error))
+        code, what = _REASONS.get(number or 0, ("io", f"input/output error ({error})"))
+        if isinstance(error.filename, str) and TEMPORARY_PREFIX not in error.filename:
+            where = error.filename
+    return OcnfError(what, code=code, where=where, fix=_FIXES.get(code))
