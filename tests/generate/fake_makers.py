@@ -1,0 +1,67 @@
+"""Stand-ins for `ocnf_data.generation.sample:maker`: what a child does with items whose names say what happens.
+
+A source's last part is the deed: `ok`, `raise`, `refuse`, `segfault`, `hang`, ..., with `-once` for only the
+first time (a file in the folder `state` remembers).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.generation.records import Item, Sample, Stages
+
+_ballast: list[bytearray] = []
+
+
+def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
+    """Makes the same bytes from the same item, unless the item is made to misbehave."""
+    state = Path(setup["meshes"]) if setup["meshes"] else None
+
+    def make(item: Item, stages: Stages) -> Sample:
+        deed = item.source.rpartition("/")[2]
+        if deed.endswith("-once"):
+            assert state is not None
+            mark = state / f"{item.key}.done"
+            deed = "ok" if mark.exists() else deed.removesuffix("-once")
+            mark.touch()
+        with stages("read"):
+            print("libraries print what they like")
+        with stages("render"):
+            _do(deed)
+        with stages("encode"):
+            payload = item.key.encode() * 1000
+            members = {"json": b"{}", "target-64.oct": payload, "v1-tsdf-64.oct": os.urandom(0) + payload[::-1]}
+        return Sample(item.key, members, {"target-64": 1, "v1-tsdf-64": 1}, {"pid": float(os.getpid())})
+
+    return make
+
+
+def broken_maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
+    """A maker that cannot even be set up."""
+    raise RuntimeError("a library is broken")
+
+
+def _do(deed: str) -> None:
+    match deed:
+        case "raise":
+            raise ZeroDivisionError("of all things")
+        case "refuse":
+            raise OcnfError("the mesh has no faces", code="empty", where="a.off")
+        case "full":
+            raise OcnfError("the disk is full", code="disk_full")
+        case "segfault":
+            ctypes.string_at(0)
+        case "exit":
+            os._exit(0)
+        case "hang":
+            time.sleep(1000)
+        case "deaf":  # hangs where no Python signal handler runs
+            ctypes.CDLL(None).sleep(1000)
+        case "hoard":
+            _ballast.append(bytearray(os.urandom(1) * (200 * 2**20)))
