@@ -1,0 +1,20 @@
+"""Shards: plain tars with an index, written whole, checked on every read (docs/format.md)."""
+
+from ocnf_data.shards.dataset import Counts, DatasetInfo, FileEntry, ShardEntry, load_dataset, write_dataset
+from ocnf_data.shards.index import ShardIndex
+from ocnf_data.shards.record import SCHEMA_VERSION
+from ocnf_data.shards.writer import ShardWriter, find_complete, is_complete
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "Counts",
+    "DatasetInfo",
+    "FileEntry",
+    "ShardEntry",
+    "ShardIndex",
+    "ShardWriter",
+    "find_complete",
+    "is_complete",
+    "load_dataset",
+    "write_dataset",
+]

@@ -1,0 +1,273 @@
+"""The index of a shard: what lies where in its tar, with checksums; a pure function of the tar's bytes.
+
+    {"schema": 1, "split": "train", "shard": "shard-000000.tar", "size": ..., "sha256": of the whole tar,
+     "samples": [{"key": "chair_0001", "category": "chair", "source": "chair/train/chair_0001.off",
+                  "members": [{"name": "json", "offset": 512, "size": 931, "sha256": ...},
+                              {"name": "target-64.oct", "offset": 2048, ...}, ...],
+                  "leaf_counts": {"target-64.oct": 25117, ...}}, ...]}
+
+`offset` is that of the payload, in bytes from the start of the tar. Category, source and leaf counts are
+those of the sample's own `json` member, so the index can be made anew from the tar alone (`index_from_tar`).
+It holds no times: those go to `timings/`, which no checksum covers, so that equal data gives equal files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from typing import IO, Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.shards.record import SCHEMA_VERSION, Count, Record, Sha256, Text, sha256_hex
+from ocnf_data.shards.tarformat import (
+    BLOCK,
+    JSON,
+    TRAILER,
+    check_key,
+    check_member,
+    max_size,
+    padding,
+    parse_header,
+    stored_size,
+    tar_name,
+)
+
+MAX_SAMPLES = 100_000
+MAX_MEMBERS = 1_000
+MAX_INDEX_BYTES = 64 * 2**20
+_SPLIT = re.compile(r"[a-z][a-z0-9_]{0,31}", re.ASCII)
+_FOLDERS = frozenset({"timings", "views", "quarantine"})  # what a data set keeps beside its splits
+
+ShardName = Annotated[str, Field(pattern=r"^shard-[0-9]{6}\.tar$")]
+LeafCount = Annotated[int, Field(ge=1, le=2**31 - 1)]
+
+
+class Member(Record):
+    """One file of a sample: its name without the key, where its payload starts, and what it must hash to."""
+
+    name: Text
+    offset: Count
+    size: Count
+    sha256: Sha256
+
+
+class SampleEntry(Record):
+    """One sample; `leaf_counts` has an entry for each octree among the members."""
+
+    key: Text
+    category: Text
+    source: Text
+    members: Annotated[tuple[Member, ...], Field(min_length=1, max_length=MAX_MEMBERS)]
+    leaf_counts: dict[str, LeafCount]
+
+    def member(self, name: str) -> Member:
+        """The member of that name; OcnfError (`missing`) where the sample has none."""
+        for member in self.members:
+            if member.name == name:
+                return member
+        raise OcnfError("the sample has no such member", code="missing", where=self.key, field=name,
+                        expected=", ".join(member.name for member in self.members))
+
+
+class ShardIndex(Record):
+    """The index of one shard. Validation recomputes the layout, so offsets cannot point anywhere else."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = SCHEMA_VERSION
+    split: Text
+    shard: ShardName
+    size: Count
+    sha256: Sha256
+    samples: Annotated[tuple[SampleEntry, ...], Field(max_length=MAX_SAMPLES)]
+
+    @model_validator(mode="after")
+    def _layout(self) -> Self:
+        try:
+            check_split(self.split)
+            end = 0
+            for sample in self.samples:
+                end = _check_sample(sample, end)
+        except OcnfError as error:
+            raise ValueError(str(error)) from None
+        if len({sample.key for sample in self.samples}) != len(self.samples):
+            raise ValueError("two samples have the same key")
+        if self.size != end + len(TRAILER):
+            raise ValueError(f"a tar of {self.size} bytes, where the members call for {end + len(TRAILER)}")
+        return self
+
+    def sample(self, key: str) -> SampleEntry:
+        """The sample of that key; OcnfError (`missing`) where the shard has none."""
+        for sample in self.samples:
+            if sample.key == key:
+                return sample
+        raise OcnfError("the shard has no such sample", code="missing", where=shard_path(self.split, self.shard),
+                        field=key)
+
+
+class Facts(BaseModel):
+    """What the index takes from a sample's `json` member; the member may hold more."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    key: Text
+    category: Text
+    source: Text
+    leaf_counts: dict[str, LeafCount]
+
+
+def read_facts(payload: bytes, where: object) -> Facts:
+    """Key, category, source and leaf counts out of a `json` member."""
+    try:
+        return Facts.model_validate_json(payload)
+    except ValidationError as error:
+        problem = error.errors(include_url=False, include_context=False)[0]
+        raise OcnfError(f"the sample's json member is not as it should be: {problem['msg']}", code="json",
+                        where=where, field=".".join(str(part) for part in problem["loc"]) or None) from None
+
+
+def make_entry(key: str, members: Mapping[str, bytes], offset: int) -> SampleEntry:
+    """The index entry of a sample whose first header lies at byte `offset` of the tar.
+
+    Args:
+        key: the sample's key.
+        members: payload of each member by name, `json` first; checked against the format's bounds.
+        offset: a multiple of 512.
+    """
+    entries, position = [], offset
+    for name, payload in members.items():
+        size = len(payload)
+        entries.append(Member(name=name, offset=position + BLOCK, size=size, sha256=sha256_hex(payload)))
+        position += stored_size(size)
+    if not entries or entries[0].name != JSON:
+        raise OcnfError("a sample begins with its json member", code="layout", where=key, found=list(members))
+    facts = read_facts(members[JSON], tar_name(key, JSON))
+    if facts.key != key:
+        raise OcnfError("the json member is of another sample", code="json", where=tar_name(key, JSON),
+                        field="key", found=facts.key, expected=key)
+    entry = SampleEntry(key=key, category=facts.category, source=facts.source, members=tuple(entries),
+                        leaf_counts=facts.leaf_counts)
+    _check_sample(entry, offset)
+    return entry
+
+
+def index_from_tar(file: IO[bytes], split: str, shard: str, where: object) -> ShardIndex:
+    """The index of a tar, read from its start to its end; every byte of the tar is checked or hashed.
+
+    That the tar is the one that was written, only its SHA-256 in `dataset.json` can say: the caller compares.
+
+    Raises:
+        OcnfError: the tar is not one that this package writes; the message has the byte offset.
+    """
+    digest = hashlib.sha256()
+    samples: list[SampleEntry] = []
+    start = 0
+    for key, members in _samples(_Hashed(file, digest), where):
+        samples.append(make_entry(key, members, start))
+        if len(samples) > MAX_SAMPLES:
+            raise OcnfError("too many samples", code="too_large", where=where, expected=f"at most {MAX_SAMPLES}")
+        last = samples[-1].members[-1]
+        start = last.offset + last.size + padding(last.size)
+    try:
+        return ShardIndex(split=split, shard=shard, size=start + len(TRAILER), sha256=digest.hexdigest(),
+                          samples=tuple(samples))
+    except ValidationError as error:
+        raise OcnfError(error.errors(include_url=False)[0]["msg"], code="layout", where=where) from None
+
+
+def check_split(split: str) -> str:
+    """The split's name, if a folder of a data set may have it."""
+    if not _SPLIT.fullmatch(split) or split in _FOLDERS:
+        raise OcnfError("not a name for a split", code="name", where=repr(split),
+                        expected="1 to 32 of a-z 0-9 _, such as train, val or test")
+    return split
+
+
+def shard_name(number: int) -> str:
+    """`shard-000007.tar`."""
+    if not 0 <= number <= 999_999:
+        raise OcnfError("a shard's number has six digits", code="name", found=number)
+    return f"shard-{number:06d}.tar"
+
+
+def shard_path(split: str, shard: str) -> str:
+    """`train/shard-000007.tar`, relative to the data set."""
+    return f"{check_split(split)}/{shard}"
+
+
+def index_path(split: str, shard: str) -> str:
+    """`train/shard-000007.json`, relative to the data set."""
+    return f"{check_split(split)}/{shard.removesuffix('.tar')}.json"
+
+
+def _check_sample(sample: SampleEntry, start: int) -> int:
+    """Refuse a sample that is not laid out from byte `start` on; the byte after it."""
+    check_key(sample.key)
+    names = [member.name for member in sample.members]
+    for member in sample.members:
+        where = tar_name(sample.key, check_member(member.name))
+        if member.size > max_size(member.name):
+            raise OcnfError("a member is too large", code="too_large", where=where, found=member.size)
+        if member.offset != start + BLOCK:
+            raise OcnfError("a member lies elsewhere", code="layout", where=where, found=member.offset,
+                            expected=start + BLOCK)
+        start += stored_size(member.size)
+    # webdataset reads names in lower case, so two that differ in case only would become one
+    if len({name.lower() for name in names}) != len(names) or names[0] != JSON:
+        raise OcnfError("members are json, then octrees of different names", code="layout", where=sample.key,
+                        found=names)
+    if set(sample.leaf_counts) != set(names[1:]):
+        raise OcnfError("leaf counts are not those of the octree members", code="json", where=sample.key,
+                        field="leaf_counts", found=sorted(sample.leaf_counts), expected=sorted(names[1:]))
+    return start
+
+
+class _Hashed:
+    """A file read forward, hashing what passes."""
+
+    def __init__(self, file: IO[bytes], digest: hashlib._Hash) -> None:
+        self._file, self._digest, self.offset = file, digest, 0
+
+    def read(self, size: int) -> bytes:
+        data = self._file.read(size)
+        self._digest.update(data)
+        self.offset += len(data)
+        return data
+
+
+def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, bytes]]]:
+    """(key, members) of each sample in turn; at the end the trailer has been checked."""
+    current, members = "", {}  # type: tuple[str, dict[str, bytes]]
+    while True:
+        start = tar.offset
+        block = tar.read(BLOCK)
+        if block == TRAILER[:BLOCK]:
+            break
+        try:
+            key, name, size = parse_header(block)
+        except OcnfError as error:
+            raise OcnfError(error.what, code=error.code, where=where, field=f"header at byte {start}",
+                            found=error.found, expected=error.expected) from None
+        if name == JSON:
+            if members:
+                yield current, members
+            current, members = key, {}
+        elif key != current or name in members or len(members) >= MAX_MEMBERS:
+            raise OcnfError("members of different samples are mixed, or one is there twice", code="layout",
+                            where=where, field=f"header at byte {start}", found=tar_name(key, name),
+                            expected=f"another member of {current}" if current else "a json member first")
+        payload = tar.read(size)
+        pad = tar.read(padding(size))
+        if len(payload) + len(pad) != size + padding(size):
+            raise OcnfError("the tar ends inside a member", code="truncated", where=where,
+                            field=tar_name(key, name), found=f"{tar.offset} bytes")
+        if any(pad):
+            raise OcnfError("the padding after a member is not zero", code="padding", where=where,
+                            field=f"{tar_name(key, name)} at byte {start}")
+        members[name] = payload
+    if members:
+        yield current, members
+    if tar.read(BLOCK) != TRAILER[BLOCK:] or tar.read(1):
+        raise OcnfError("the tar does not end with two blocks of zeros and nothing else", code="trailer",
+                        where=where, field=f"byte {start}")
