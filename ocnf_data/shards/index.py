@@ -102,8 +102,8 @@ class ShardIndex(Record):
         for sample in self.samples:
             if sample.key == key:
                 return sample
-        raise OcnfError("the shard has no such sample", code="missing", where=shard_path(self.split, self.shard),
-                        field=key)
+        raise OcnfError("the shard has no such sample", code="missing", field=key,
+                        where=shard_path(self.split, self.shard))
 
 
 class Facts(BaseModel):
@@ -127,22 +127,23 @@ def read_facts(payload: bytes, where: object) -> Facts:
                         where=where, field=".".join(str(part) for part in problem["loc"]) or None) from None
 
 
-def make_entry(key: str, members: Mapping[str, bytes], offset: int) -> SampleEntry:
+def make_entry(key: str, hashes: Mapping[str, tuple[int, str]], json: bytes, offset: int) -> SampleEntry:
     """The index entry of a sample whose first header lies at byte `offset` of the tar.
 
     Args:
         key: the sample's key.
-        members: payload of each member by name, `json` first; checked against the format's bounds.
+        hashes: (size in bytes, SHA-256) of each member by name, in the order of the tar.
+        json: payload of the `json` member.
         offset: a multiple of 512.
+
+    Raises:
+        OcnfError: what the format does not allow.
     """
+    facts = read_facts(json, tar_name(key, JSON))
     entries, position = [], offset
-    for name, payload in members.items():
-        size = len(payload)
-        entries.append(Member(name=name, offset=position + BLOCK, size=size, sha256=sha256_hex(payload)))
+    for name, (size, sha256) in hashes.items():
+        entries.append(Member(name=name, offset=position + BLOCK, size=size, sha256=sha256))
         position += stored_size(size)
-    if not entries or entries[0].name != JSON:
-        raise OcnfError("a sample begins with its json member", code="layout", where=key, found=list(members))
-    facts = read_facts(members[JSON], tar_name(key, JSON))
     if facts.key != key:
         raise OcnfError("the json member is of another sample", code="json", where=tar_name(key, JSON),
                         field="key", found=facts.key, expected=key)
@@ -163,10 +164,10 @@ def index_from_tar(file: IO[bytes], split: str, shard: str, where: object) -> Sh
     digest = hashlib.sha256()
     samples: list[SampleEntry] = []
     start = 0
-    for key, members in _samples(_Hashed(file, digest), where):
-        samples.append(make_entry(key, members, start))
+    for key, hashes, json in _samples(_Hashed(file, digest), where):
+        samples.append(make_entry(key, hashes, json, start))
         if len(samples) > MAX_SAMPLES:
-            raise OcnfError("too many samples", code="too_large", where=where, expected=f"at most {MAX_SAMPLES}")
+            raise OcnfError("too many samples", code="too_large", where=where, expected=MAX_SAMPLES)
         last = samples[-1].members[-1]
         start = last.offset + last.size + padding(last.size)
     try:
@@ -236,9 +237,10 @@ class _Hashed:
         return data
 
 
-def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, bytes]]]:
-    """(key, members) of each sample in turn; at the end the trailer has been checked."""
-    current, members = "", {}  # type: tuple[str, dict[str, bytes]]
+def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, tuple[int, str]], bytes]]:
+    """(key, size and SHA-256 by member, json) of each sample; at the end the trailer has been checked."""
+    current, json = "", b""
+    members: dict[str, tuple[int, str]] = {}
     while True:
         start = tar.offset
         block = tar.read(BLOCK)
@@ -251,7 +253,7 @@ def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, bytes
                             found=error.found, expected=error.expected) from None
         if name == JSON:
             if members:
-                yield current, members
+                yield current, members, json
             current, members = key, {}
         elif key != current or name in members or len(members) >= MAX_MEMBERS:
             raise OcnfError("members of different samples are mixed, or one is there twice", code="layout",
@@ -265,9 +267,11 @@ def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, bytes
         if any(pad):
             raise OcnfError("the padding after a member is not zero", code="padding", where=where,
                             field=f"{tar_name(key, name)} at byte {start}")
-        members[name] = payload
+        members[name] = (size, sha256_hex(payload))
+        if name == JSON:
+            json = payload
     if members:
-        yield current, members
+        yield current, members, json
     if tar.read(BLOCK) != TRAILER[BLOCK:] or tar.read(1):
         raise OcnfError("the tar does not end with two blocks of zeros and nothing else", code="trailer",
                         where=where, field=f"byte {start}")

@@ -93,7 +93,7 @@ def tar_name(key: str, member: str) -> str:
     name = f"{check_key(key)}.{check_member(member)}"
     if len(name) > MAX_NAME:
         raise OcnfError("a member's name is too long for a tar", code="name", where=name, found=len(name),
-                        expected=f"at most {MAX_NAME} characters", fix="shorten the key or the variant's name")
+                        expected=f"at most {MAX_NAME} characters", fix="shorten the key or the variant")
     return name
 
 

@@ -30,8 +30,8 @@ from ocnf_data.shards.index import (
     shard_name,
     shard_path,
 )
-from ocnf_data.shards.record import canonical_json
-from ocnf_data.shards.tarformat import TRAILER, make_header, padding
+from ocnf_data.shards.record import canonical_json, sha256_hex
+from ocnf_data.shards.tarformat import JSON, TRAILER, make_header, padding
 from ocnf_data.storage import Store
 
 
@@ -85,7 +85,8 @@ class ShardWriter:
         if key in self._keys or len(self._samples) >= MAX_SAMPLES:
             raise OcnfError("the shard has a sample of this key already, or is full", code="layout",
                             where=shard_path(self.split, self.shard), found=key)
-        entry = make_entry(key, members, self._size)
+        hashes = {name: (len(payload), sha256_hex(payload)) for name, payload in members.items()}
+        entry = make_entry(key, hashes, members.get(JSON, b""), self._size)
         for name, payload in members.items():
             self._write(make_header(key, name, len(payload)))
             self._write(payload)
