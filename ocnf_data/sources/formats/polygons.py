@@ -1,0 +1,100 @@
+"""What the parsers share: numbers out of text, triangles out of polygons, indices that are checked."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.errors import OcnfError
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint8]
+
+_COMMENT = re.compile(rb"#[^\n]*")
+_IS_SPACE = np.zeros(256, dtype=bool)
+_IS_SPACE[list(b" \t\n\v\f")] = True
+
+
+def unreadable(what: str, where: str, found: object = None, expected: object = None) -> OcnfError:
+    """The error for a file that is not what its name says."""
+    return OcnfError(what, code="unreadable", where=where, found=found, expected=expected)
+
+
+def check_face_count(n_faces: int, max_faces: int, where: str) -> None:
+    """Raise `too_large` for more than `max_faces` faces."""
+    if n_faces > max_faces:
+        raise OcnfError("too many faces", code="too_large", where=where, found=n_faces,
+                        expected=f"at most {max_faces}", fix="simplify the mesh or raise the limit")
+
+
+def plain_text(data: bytes) -> bytes:
+    """`data` with line ends as newlines, one at the end, without byte-order mark and `#` comments."""
+    text = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"#" in text:
+        text = _COMMENT.sub(b"", text)
+    return text + b"\n"
+
+
+def token_starts(text: U8) -> I64:
+    """Positions of the first byte of every run of non-blank bytes."""
+    space = _IS_SPACE[text]
+    start = ~space
+    start[1:] &= space[:-1]
+    return np.flatnonzero(start)
+
+
+def tokens_per_line(text: U8, starts: I64) -> tuple[I64, I64]:
+    """How many of the tokens that begin at `starts` each line holds, and where each line's newline is."""
+    newlines = np.flatnonzero(text == ord("\n"))
+    return np.diff(np.searchsorted(starts, newlines), prepend=0), newlines
+
+
+def parse_numbers(text: U8, where: str, dtype: type) -> tuple[npt.NDArray, I64]:
+    """All numbers of a text of which every line ends in a newline.
+
+    Returns:
+        values (n,) of `dtype`, and counts (lines,): how many of them stand on each line, blank ones too.
+    """
+    starts = token_starts(text)
+    counts, _ = tokens_per_line(text, starts)
+    if starts.size == 0:  # numpy reads a number out of pure white space
+        return np.empty(0, dtype), counts
+    try:
+        values = np.fromstring(text.tobytes(), dtype=dtype, sep=" ")  # type: ignore[call-overload]
+    except ValueError:
+        values = np.empty(0, dtype)
+    if values.size != starts.size:
+        raise unreadable("holds something that is not a number", where)
+    return values, counts
+
+
+def fan(corners: npt.NDArray, first: I64, n_corners: I64) -> npt.NDArray:
+    """Triangles (M, 3) of polygons, each fanned from its first corner.
+
+    Args:
+        corners: (n,) vertex indices.
+        first: (P,) position in `corners` of each polygon's first.
+        n_corners: (P,) corners a polygon; those under 3 give no triangle.
+    """
+    n_triangles = np.maximum(n_corners - 2, 0)
+    if (n_corners == 3).all():
+        return corners[first[:, None] + np.arange(3)]
+    apex = np.repeat(first, n_triangles)
+    k = np.arange(apex.size) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
+    return corners[np.stack([apex, apex + k + 1, apex + k + 2], axis=1)]
+
+
+def check_indices(faces: npt.NDArray, n_vertices: int, where: str) -> I64:
+    """`faces` (M, 3) as int64, or the error for an index that is no vertex."""
+    bad = ~((faces >= 0) & (faces < n_vertices))
+    if faces.dtype.kind == "f":
+        bad |= faces != np.floor(faces)
+    if bad.any():
+        raise unreadable("a face has an index that is no vertex", where, found=faces[bad][0],
+                         expected=f"0 to {n_vertices - 1}")
+    return faces.astype(np.int64)
