@@ -3,8 +3,8 @@
 A rig is an array of unit directions (N, 3); `look_from` turns it into poses. The camera of direction t has
 `R = Rz(180 deg) A`, A being the smallest rotation that takes (0, 0, 1) to t, and `T = (0, 0, distance)`:
 world to camera, `X_c = R X + T`, as in the published code. So every camera has the origin on its optical
-axis at depth `distance`. Mind that R leads from the world *to* the camera although A leads from the axis to t: the
-camera's centre `-R^T T` is `distance * (t_x, t_y, -t_z)`, the mirror image of `distance * t`.
+axis at depth `distance`. Mind that R leads from the world *to* the camera although A leads from the axis to
+t: the camera's centre `-R^T T` is `distance * (t_x, t_y, -t_z)`, the mirror image of `distance * t`.
 """
 
 from __future__ import annotations

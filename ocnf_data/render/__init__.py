@@ -1,0 +1,114 @@
+"""Depth maps of a mesh from posed pinhole cameras: one entry point, two backends.
+
+`raster` runs on the CPU, needs no OpenGL and is the more exact (float64 set-up, float32 result, relative
+error below 2e-7). `pyrender` draws through EGL or OSMesa, for machines with a GPU; its depth comes from a
+24-bit buffer (99 % of the pixels within 0.01 mm on a mesh in the 3 m cube, about one silhouette pixel a view
+off).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.cameras import Views
+from ocnf_data.errors import OcnfError
+
+__all__ = ["BACKENDS", "render_depth"]
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Backend = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
+
+_MAX_SIDE = 16384
+
+
+def _raster(*args: Any) -> F32:
+    from ocnf_data.render.raster import rasterise
+
+    return rasterise(*args)
+
+
+def _pyrender(*args: Any) -> F32:
+    from ocnf_data.render.gl import render_pyrender
+
+    return render_pyrender(*args)
+
+
+# Each imports on first use: numba's kernels take a moment to load, and OpenGL may be missing altogether.
+BACKENDS: dict[str, Backend] = {"raster": _raster, "pyrender": _pyrender}
+
+
+def render_depth(
+    vertices: npt.ArrayLike,
+    faces: npt.ArrayLike,
+    K: npt.ArrayLike,
+    R: npt.ArrayLike,
+    T: npt.ArrayLike,
+    size: tuple[int, int] = (480, 640),
+    backend: Literal["raster", "pyrender"] = "raster",
+    near: float = 1e-3,
+) -> F32:
+    """Depth maps (V, H, W) float32: z in metres at the pixel centres, inf where the ray hits nothing.
+
+    Both sides of a face are drawn, whatever its winding. Conventions are those of `ocnf_data.cameras`.
+
+    Args:
+        vertices: (N, 3) finite world coordinates in metres.
+        faces: (M, 3) integer indices into vertices; faces without area are skipped.
+        K: (3, 3) or (V, 3, 3) intrinsics in pixels.
+        R: (V, 3, 3) world to camera.
+        T: (V, 3) metres, world to camera.
+        size: (H, W) of the images; note the order.
+        backend: `raster` or `pyrender`.
+        near: metres; the part of a face at z <= near is cut off.
+
+    Raises:
+        OcnfError: arguments that do not fit together; with `pyrender`, no working OpenGL.
+    """
+    if backend not in BACKENDS:
+        raise OcnfError("unknown backend", where="render_depth", field="backend", found=backend,
+                        expected=" or ".join(BACKENDS))
+    if not (np.isfinite(near) and near > 0):
+        raise OcnfError("near is not positive", where="render_depth", field="near", found=near)
+    height, width = _checked_size(size)
+    points, triangles = _checked_mesh(vertices, faces)
+    rotations = np.asarray(R, dtype=np.float64)
+    if rotations.ndim != 3 or len(rotations) == 0:
+        raise OcnfError("R has the wrong shape", where="render_depth", field="R", found=rotations.shape,
+                        expected="(V, 3, 3) with V >= 1")
+    # Views knows what cameras may be; one pixel each is enough to ask it.
+    cameras = Views(np.zeros((len(rotations), 1, 1), np.float32), np.asarray(K), rotations, np.asarray(T))
+    return BACKENDS[backend](points, triangles, cameras.K, cameras.R, cameras.T, (height, width), float(near))
+
+
+def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
+    height, width = (int(side) for side in size)
+    if not (1 <= height <= _MAX_SIDE and 1 <= width <= _MAX_SIDE):
+        raise OcnfError("image size out of range", where="render_depth", field="size", found=size,
+                        expected=f"(H, W), each 1 to {_MAX_SIDE}")
+    return height, width
+
+
+def _checked_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[F64, I64]:
+    points = np.ascontiguousarray(vertices, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise OcnfError("vertices have the wrong shape", where="render_depth", field="vertices",
+                        found=points.shape, expected="(N, 3)")
+    if not np.isfinite(points).all():
+        raise OcnfError("a vertex is not finite", code="non_finite", where="render_depth",
+                        field=f"vertices[{int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])}]")
+    index = np.asarray(faces)
+    if index.size == 0:
+        index = index.reshape(-1, 3).astype(np.int64)
+    if index.ndim != 2 or index.shape[1] != 3 or not np.issubdtype(index.dtype, np.integer):
+        raise OcnfError("faces have the wrong shape or type", where="render_depth", field="faces",
+                        found=f"{index.shape} {index.dtype}", expected="(M, 3) integers")
+    if index.size and not (index.min() >= 0 and index.max() < len(points)):
+        raise OcnfError("a face index is out of range", where="render_depth", field="faces",
+                        found=f"{index.min()} to {index.max()}", expected=f"0 to {len(points) - 1}")
+    return points, np.ascontiguousarray(index, dtype=np.int64)
