@@ -1,0 +1,116 @@
+"""What a sample looks like: depth maps in colour, slices of octrees with their cells drawn in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.octree import GridOctree
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+F32 = npt.NDArray[np.float32]
+
+AXES = "zyx"
+_NO_MEASUREMENT = (0.85, 0.25, 0.25, 1.0)
+
+
+def as_distance(data: F32, encoding: Encoding | None) -> F32:
+    """One signed number a leaf in [-1, 1], for display, from leaf data (n_leaves, C) of any encoding.
+
+    The histogram gives its mean over the bins, occupancy +1 for free and -1 for occupied; None is a TSDF.
+    """
+    if encoding is Encoding.HISTOGRAM:
+        centres = np.linspace(-1.125, 1.125, data.shape[1], dtype=np.float32)
+        return np.clip(data @ centres, -1, 1)
+    if encoding is Encoding.TDF_OCCUPANCY:
+        return (1 - 2 * data[:, 1]) * data[:, 0]
+    if encoding is Encoding.OCCUPANCY:
+        return 1 - 2 * data[:, 0]
+    return data[:, 0]
+
+
+def slice_cells(
+    octree: GridOctree, axis: int, index: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """The leaves that a plane of voxels cuts.
+
+    Args:
+        octree: of shape (D, H, W).
+        axis: 0, 1 or 2 for a plane across z, y or x.
+        index: which plane of voxels.
+
+    Returns:
+        (n,) rows of `octree.data`, and (n, 3) int32 (row, column, width) of their squares in the plane, whose
+        rows and columns are the two remaining axes in their order.
+    """
+    low, width = octree.leaf_positions(), octree.leaf_sizes().astype(np.int32)
+    cut = np.flatnonzero((low[:, axis] <= index) & (index < low[:, axis] + width))
+    row, column = (a for a in range(3) if a != axis)
+    return cut, np.column_stack([low[cut, row], low[cut, column], width[cut]]).astype(np.int32)
+
+
+def paint_squares(squares: npt.NDArray[np.int32], value: F32, size: tuple[int, int]) -> F32:
+    """An image of `size` from squares (n, 3) (row, column, width) that tile it, and a value (n,) for each."""
+    image = np.empty(size, dtype=np.float32)
+    for width in np.unique(squares[:, 2]):
+        same = squares[:, 2] == width
+        row, column = squares[same, 0, None, None], squares[same, 1, None, None]
+        steps = np.arange(width)
+        image[row + steps[:, None], column + steps] = value[same, None, None]
+    return image
+
+
+def draw_slice(
+    ax: Axes,
+    octree: GridOctree,
+    axis: int,
+    index: int,
+    encoding: Encoding | None = None,
+    cells: bool = True,
+) -> None:
+    """Draw one plane of an octree: blue free, red inside or unseen, and the outlines of its leaves."""
+    from matplotlib.collections import LineCollection
+
+    rows, squares = slice_cells(octree, axis, index)
+    value = as_distance(octree.data[rows], encoding)
+    height, breadth = (n for a, n in enumerate(octree.shape) if a != axis)
+    image = paint_squares(squares, value, (height, breadth))
+    ax.imshow(image, origin="lower", cmap="RdBu", vmin=-1, vmax=1, extent=(0, breadth, 0, height),
+              interpolation="nearest")
+    if cells:
+        r, c, w = squares.T
+        corners = np.stack([np.stack([c, r + w], 1), np.stack([c, r], 1), np.stack([c + w, r], 1)], 1)
+        thin = min(0.5, 24 / height)
+        ax.add_collection(LineCollection(list(corners), colors=(0, 0, 0, 0.55), linewidths=thin))
+    left, up = (name for name in AXES if name != AXES[axis])
+    ax.set_xlabel(up, labelpad=1)
+    ax.set_ylabel(left, labelpad=1)
+    ax.set_xticks([])
+    ax.set_yticks([])
+
+
+def draw_depth(ax: Axes, depth: F32, limits: tuple[float, float]) -> None:
+    """Draw one depth map (H, W): colour is metres, white a free ray (`inf`), red no measurement (`0`)."""
+    import matplotlib as mpl
+
+    shown = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan)
+    near, far = limits
+    colours = mpl.colormaps["viridis_r"](np.clip((shown - near) / max(far - near, 1e-6), 0, 1))
+    colours[np.isinf(depth)] = 1.0
+    colours[depth == 0] = _NO_MEASUREMENT
+    ax.imshow(colours, interpolation="nearest")
+    ax.set_xticks([])
+    ax.set_yticks([])
+
+
+def busiest_plane(octree: GridOctree, axis: int) -> int:
+    """The plane of voxels across `axis` with the most width-1 leaves: where the surface is richest."""
+    fine = octree.leaf_sizes() == 1
+    if not fine.any():
+        return octree.shape[axis] // 2
+    return int(np.bincount(octree.leaf_positions()[fine, axis], minlength=octree.shape[axis]).argmax())

@@ -1,0 +1,134 @@
+"""Pictures of surfaces from the depth rasteriser alone, so that they need no GL.
+
+Normals come from differences of neighbouring depths, ambient occlusion from the unsharp-masked depth
+buffer (Luft, Colditz and Deussen, "Image enhancement by unsharp masking the depth buffer", SIGGRAPH 2006).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.render.raster import rasterise
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+CLAY = (0.80, 0.76, 0.70)
+_KEY_LIGHT = np.array([-0.45, -0.65, -0.61])  # camera axes (x right, y down, z forward), towards the light
+_DISTANCE = 4.5  # of the camera, in radii of the object: a long lens distorts little
+_MARGIN = 0.04  # of the picture's side, left free all around
+
+
+def shade(
+    vertices: npt.ArrayLike,
+    faces: npt.ArrayLike,
+    size: int = 480,
+    azimuth: float = 35.0,
+    elevation: float = 22.0,
+    up: str = "z",
+    colour: tuple[float, float, float] = CLAY,
+    frame: npt.ArrayLike | None = None,
+    supersample: int = 3,
+) -> npt.NDArray[np.uint8]:
+    """Draw a surface, two-sided, on white.
+
+    Args:
+        vertices: (N, 3) in any unit.
+        faces: (M, 3) indices; M may be 0, which gives an empty picture.
+        size: side of the square picture in pixels.
+        azimuth: degrees around the up axis.
+        elevation: degrees above the horizon.
+        up: which axis of the mesh points up, "y" or "z".
+        colour: albedo, RGB in 0..1.
+        frame: (P, 3) points that have to fit into the picture, default the vertices. Pass the same to
+            pictures that are to be compared.
+        supersample: samples a pixel on each side.
+
+    Returns:
+        (size, size, 3) uint8.
+    """
+    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    if len(triangles) == 0:
+        return np.full((size, size, 3), 255, dtype=np.uint8)
+    fit = points if frame is None else np.asarray(frame, dtype=np.float64).reshape(-1, 3)
+    low, high = fit.min(axis=0), fit.max(axis=0)
+    radius = max(float(np.linalg.norm(high - low)) / 2, 1e-12)
+
+    n = size * supersample
+    R = _orbit(azimuth, elevation, up)
+    T = np.array([0.0, 0.0, _DISTANCE * radius]) - R @ ((low + high) / 2)
+    K = _fit(fit @ R.T + T, n)
+    depth = rasterise(points, triangles, K[None], R[None], T[None], (n, n))[0].astype(np.float64)
+
+    hit = np.isfinite(depth)
+    normal = _normals(np.where(hit, depth, np.nan), K)
+    key = np.clip(normal @ (_KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)), 0, 1)
+    facing = np.clip(-normal[..., 2], 0, 1)
+    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, n)
+    image = np.where(hit[..., None], np.clip(light, 0, 1)[..., None] * np.asarray(colour), 1.0)
+    image = image.reshape(size, supersample, size, supersample, 3).mean(axis=(1, 3))
+    return (255 * np.clip(image, 0, 1) ** (1 / 1.2) + 0.5).astype(np.uint8)
+
+
+def _fit(points: F64, n: int) -> F64:
+    """Intrinsics (3, 3) with which points in camera axes just fill n x n pixels, less the margin."""
+    seen = points[:, :2] / points[:, 2:]
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    focal = (1 - 2 * _MARGIN) * n / max(float((high - low).max()), 1e-12)
+    cx, cy = (n - 1) / 2 - focal * (low + high) / 2
+    return np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
+
+
+def _orbit(azimuth: float, elevation: float, up: str) -> F64:
+    """World-to-camera rotation (3, 3) of a camera that orbits the origin and looks at it."""
+    a, e = np.deg2rad([azimuth, elevation])
+    ahead = -np.array([np.cos(e) * np.sin(a), -np.cos(e) * np.cos(a), np.sin(e)])  # z is up
+    if up == "y":
+        ahead = ahead[[0, 2, 1]] * [1, 1, -1]
+    sky = np.array([0.0, 1.0, 0.0]) if up == "y" else np.array([0.0, 0.0, 1.0])
+    right = np.cross(ahead, sky)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(ahead, right), ahead])
+
+
+def _normals(depth: F64, K: F64) -> F64:
+    """Unit normals (H, W, 3) towards the camera from depth (H, W) with NaN for the background.
+
+    Of the differences to the two neighbours on an axis the smaller in depth is taken, so that normals at a
+    silhouette come from the near surface alone.
+    """
+    v, u = np.indices(depth.shape)
+    ray = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(depth)], axis=-1)
+    points = ray * depth[..., None]
+
+    def slope(axis: int) -> F64:
+        ahead = np.full_like(points, np.nan)
+        step = np.diff(points, axis=axis)
+        if axis == 0:
+            ahead[:-1] = step
+        else:
+            ahead[:, :-1] = step
+        behind = np.roll(ahead, 1, axis=axis)
+        size_ahead = np.nan_to_num(np.abs(ahead[..., 2]), nan=np.inf)
+        size_behind = np.nan_to_num(np.abs(behind[..., 2]), nan=np.inf)
+        return np.where((size_ahead <= size_behind)[..., None], ahead, behind)
+
+    normal = np.cross(slope(1), slope(0))
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    unit = np.divide(normal, length, out=np.zeros_like(normal), where=np.nan_to_num(length) > 0)
+    return np.where((unit * ray).sum(axis=-1, keepdims=True) > 0, -unit, unit)
+
+
+def _occlusion(depth: F64, hit: npt.NDArray[np.bool_], radius: float, n: int) -> F64:
+    """Factor (H, W) in 0.45..1: darker where the surroundings are nearer than the pixel."""
+    from scipy.ndimage import gaussian_filter
+
+    filled = np.where(hit, depth, 0.0)
+    total = np.ones_like(depth)
+    for width in (n / 90, n / 30):
+        weight = gaussian_filter(hit.astype(np.float64), width)
+        mean = gaussian_filter(filled, width) / np.maximum(weight, 1e-6)
+        total -= 2.2 * np.clip(np.where(hit, depth, 0.0) - mean, 0, 0.12 * radius) / radius
+    return np.clip(total, 0.45, 1.0)
