@@ -48,7 +48,7 @@ class ShardEntry(Record):
 class FileEntry(Record):
     """Another file of the data set that may not change: `plan.json`, `failures.jsonl`."""
 
-    name: Text
+    name: Annotated[str, Field(max_length=200, pattern=r"^\w[\w.-]*(/\w[\w.-]*)*$")]
     size: Annotated[Count, Field(alias="bytes")]
     sha256: Sha256
 

@@ -39,6 +39,7 @@ MAX_SAMPLES = 100_000
 MAX_MEMBERS = 1_000
 MAX_INDEX_BYTES = 64 * 2**20
 _SPLIT = re.compile(r"[a-z][a-z0-9_]{0,31}", re.ASCII)
+_SHARD_PATH = re.compile(rf"{_SPLIT.pattern}/shard-[0-9]{{6}}\.tar", re.ASCII)
 _FOLDERS = frozenset({"timings", "views", "quarantine"})  # what a data set keeps beside its splits
 
 ShardName = Annotated[str, Field(pattern=r"^shard-[0-9]{6}\.tar$")]
@@ -200,6 +201,11 @@ def shard_path(split: str, shard: str) -> str:
 def index_path(split: str, shard: str) -> str:
     """`train/shard-000007.json`, relative to the data set."""
     return f"{check_split(split)}/{shard.removesuffix('.tar')}.json"
+
+
+def is_shard(name: str) -> bool:
+    """Whether a path in a data set is that of a shard."""
+    return _SHARD_PATH.fullmatch(name) is not None and name.partition("/")[0] not in _FOLDERS
 
 
 def _check_sample(sample: SampleEntry, start: int) -> int:

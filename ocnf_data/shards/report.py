@@ -1,0 +1,87 @@
+"""The outcome of a verification, and how it is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ocnf_data.shards.dataset import DatasetInfo
+from ocnf_data.shards.index import is_shard
+
+_MOST_ROWS = 200
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong.
+
+    Attributes:
+        file: its path in the data set; for a shard's index, that of the shard.
+        code: machine-readable: `missing`, `truncated`, `header`, `checksum`, `padding`, `trailer`, `sha256`,
+            `index`, `missing_index`, `json`, `octree`, `count`, `duplicate`, `extra`, ...
+        what: a clause.
+        key, member: the sample and its member, where it is about one.
+        offset: the byte in the tar where it begins.
+    """
+
+    file: str
+    code: str
+    what: str
+    key: str | None = None
+    member: str | None = None
+    offset: int | None = None
+
+
+@dataclass
+class VerifyReport:
+    """What was looked at, and everything that is wrong with it; `notes` are no errors."""
+
+    url: str
+    info: DatasetInfo | None = None
+    problems: list[Problem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    shards: int = 0
+    samples: int = 0
+    members: int = 0
+    size: int = 0
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+    @property
+    def damaged_shards(self) -> list[str]:
+        """Paths of the listed shards that have a problem, in the tar or in the index."""
+        return sorted({problem.file for problem in self.problems
+                       if is_shard(problem.file) and problem.code != "extra"})
+
+    def add(self, file: str, code: str, what: str, key: str | None = None) -> None:
+        """Note a problem that lies outside the shards' bytes."""
+        self.problems.append(Problem(file, code, what, key))
+
+
+def print_verify(report: VerifyReport, console: Console) -> int:
+    """Show a report; the exit status of `ocnf-data verify`: 0 where nothing is wrong, else 1."""
+    for note in report.notes:
+        console.print(f"note: {note}", style="dim", markup=False, highlight=False)
+    looked = (f"{report.shards} shards, {report.samples} samples, {report.members} members, "
+              f"{report.size / 1e6:.1f} MB")
+    if report.ok:
+        console.print(f"[green]whole[/]: {looked}", highlight=False)
+        return 0
+    table = Table("file", "sample", "member", "byte", "code", "what is wrong", box=None, pad_edge=False)
+    for problem in report.problems[:_MOST_ROWS]:
+        cells = (problem.file, problem.key, problem.member, problem.offset, problem.code, problem.what)
+        table.add_row(*("" if cell is None else escape(str(cell)) for cell in cells))
+    console.print(table)
+    if len(report.problems) > _MOST_ROWS:
+        console.print(f"... and {len(report.problems) - _MOST_ROWS} more", highlight=False)
+    console.print(f"[red]{len(report.problems)} problems[/] in {looked}", highlight=False)
+    if report.damaged_shards:
+        console.print("`ocnf-data repair` sets the damaged shards aside and generates exactly those again",
+                      highlight=False)
+    return 1
