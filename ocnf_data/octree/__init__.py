@@ -1,5 +1,18 @@
 """Grid-octrees: the structure, its files, its codec and its symmetries."""
 
+from ocnf_data.octree.codec import decode, decode_raw, encode, encode_raw
 from ocnf_data.octree.grid import GridOctree, mean_on, split_structure
+from ocnf_data.octree.stored import TARGET, RawOctree, quantise
 
-__all__ = ["GridOctree", "mean_on", "split_structure"]
+__all__ = [
+    "TARGET",
+    "GridOctree",
+    "RawOctree",
+    "decode",
+    "decode_raw",
+    "encode",
+    "encode_raw",
+    "mean_on",
+    "quantise",
+    "split_structure",
+]

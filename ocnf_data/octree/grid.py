@@ -154,16 +154,16 @@ class GridOctree:
 
     def write_oc(self, path: str | os.PathLike[str]) -> None:
         """Write the published `.oc` format (see `octree.oc`)."""
-        from ocnf_data.octree import oc
+        from ocnf_data.octree.oc import write_oc  # oc imports this module
 
-        oc.write_oc(self, path)
+        write_oc(self, path)
 
     @staticmethod
     def read_oc(path: str | os.PathLike[str]) -> GridOctree:
         """Read a `.oc` file (see `octree.oc`)."""
-        from ocnf_data.octree import oc
+        from ocnf_data.octree.oc import read_oc
 
-        return oc.read_oc(path)
+        return read_oc(path)
 
     def __repr__(self) -> str:
         """One line: size, channels, leaves and their share of the voxels."""
