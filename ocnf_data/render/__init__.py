@@ -25,6 +25,7 @@ I64 = npt.NDArray[np.int64]
 Backend = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
 
 _MAX_SIDE = 16384
+_MIN_NEAR = 1e-6
 
 
 def _raster(*args: Any) -> F32:
@@ -73,8 +74,9 @@ def render_depth(
     if backend not in BACKENDS:
         raise OcnfError("unknown backend", where="render_depth", field="backend", found=backend,
                         expected=" or ".join(BACKENDS))
-    if not (np.isfinite(near) and near > 0):
-        raise OcnfError("near is not positive", where="render_depth", field="near", found=near)
+    if not (np.isfinite(near) and near >= _MIN_NEAR):
+        raise OcnfError("near plane out of range", where="render_depth", field="near", found=near,
+                        expected=f"metres >= {_MIN_NEAR}")
     height, width = _checked_size(size)
     points, triangles = _checked_mesh(vertices, faces)
     rotations = np.asarray(R, dtype=np.float64)

@@ -26,6 +26,9 @@ U32 = npt.NDArray[np.uint32]
 # rounding noise, so w is taken from its long edge.
 _EDGE_ON = 1e-9
 
+# Pixels are drawn by this many at a time; the buffer is longer than the image by as much.
+_LANES = 8
+
 
 def rasterise(
     vertices: F64, faces: I64, K: F64, R: F64, T: F64, size: tuple[int, int], near: float = 1e-3
@@ -68,22 +71,25 @@ def _render_strided(
     vertices: F64, faces: U32, pinholes: F64, R: F64, T: F64, near: float, start: int, step: int, depth: F32
 ) -> None:
     """Render views start, start + step, ...; each is one thread's alone, so thread counts change nothing."""
+    height, width = depth.shape[1:]
     projected = np.empty((len(vertices), 3))
+    buffer = np.zeros(height * width + _LANES, np.float32)  # 1 / z, kept in the cache from view to view
     for view in range(start, len(depth), step):
-        image = depth[view]
-        image[:] = 0.0
         _project(vertices, pinholes[view], R[view], T[view], near, projected)
         for f in range(len(faces)):
             a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
             wa, wb, wc = projected[a, 2], projected[b, 2], projected[c, 2]
             if wa > 0.0 and wb > 0.0 and wc > 0.0:
-                _draw(image, projected[a, 0], projected[a, 1], wa, projected[b, 0], projected[b, 1], wb,
-                      projected[c, 0], projected[c, 1], wc)  # fmt: skip
+                _draw(buffer, height, width, projected[a, 0], projected[a, 1], wa, projected[b, 0],
+                      projected[b, 1], wb, projected[c, 0], projected[c, 1], wc)  # fmt: skip
             elif wa > 0.0 or wb > 0.0 or wc > 0.0:
-                _draw_clipped(image, vertices, faces[f], pinholes[view], R[view], T[view], near)
-        for v in range(image.shape[0]):
-            for u in range(image.shape[1]):
-                image[v, u] = np.float32(1.0) / image[v, u]
+                _draw_clipped(
+                    buffer, height, width, vertices, faces[f], pinholes[view], R[view], T[view], near
+                )
+        image = depth[view].ravel()
+        for i in range(len(image)):
+            image[i] = np.float32(1.0) / buffer[i]
+            buffer[i] = np.float32(0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -109,25 +115,20 @@ def _to_camera(p: F64, R: F64, T: F64) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _draw(
-    image: F32,
+    buffer: F32, height: int, width: int,
     ua: float, va: float, wa: float,
     ub: float, vb: float, wb: float,
     uc: float, vc: float, wc: float,
 ) -> None:  # fmt: skip
-    """Draw one triangle of projected vertices (u, v, w) into the buffer of 1 / z (H, W)."""
-    height, width = image.shape
+    """Draw one triangle of projected vertices (u, v, w) into the buffer of 1 / z (H * W + 8,)."""
     # Most triangles of a fine mesh hold no pixel centre and end here.
     top, bottom = np.ceil(min(va, vb, vc)), np.floor(max(va, vb, vc))
     left, right = np.ceil(min(ua, ub, uc)), np.floor(max(ua, ub, uc))
     if not (top <= bottom and left <= right and bottom >= 0 and right >= 0 and top < height and left < width):
         return
-    # a upper, b middle, c lower; of equals the left one is the upper, whatever order they came in.
-    if vb < va or (vb == va and ub < ua):
-        ua, va, wa, ub, vb, wb = ub, vb, wb, ua, va, wa
-    if vc < vb or (vc == vb and uc < ub):
-        ub, vb, wb, uc, vc, wc = uc, vc, wc, ub, vb, wb
-        if vb < va or (vb == va and ub < ua):
-            ua, va, wa, ub, vb, wb = ub, vb, wb, ua, va, wa
+    ua, va, wa, ub, vb, wb = _upper_first(ua, va, wa, ub, vb, wb)
+    ub, vb, wb, uc, vc, wc = _upper_first(ub, vb, wb, uc, vc, wc)
+    ua, va, wa, ub, vb, wb = _upper_first(ua, va, wa, ub, vb, wb)
     slope_ac = (uc - ua) / (vc - va)
     across = ub - (ua + (vb - va) * slope_ac)
     if va == vc or across == 0.0:
@@ -142,32 +143,45 @@ def _draw(
     for row in range(first_row, last_row + 1):
         v = float(row)
         # At its lower end an edge is exactly that vertex, so that all triangles around it agree there.
-        if v == vc:
-            u_long = u_short = uc
-            if v == vb:
-                u_short = ub
+        u_long = uc if v == vc else ua + (v - va) * slope_ac
+        if v < vb:
+            u_short = ua + (v - va) * slope_ab
+        elif v == vb:
+            u_short = ub
         else:
-            u_long = ua + (v - va) * slope_ac
-            if v < vb:
-                u_short = ua + (v - va) * slope_ab
-            elif v == vb:
-                u_short = ub
-            else:
-                u_short = ub + (v - vb) * slope_bc
+            u_short = uc if v == vc else ub + (v - vb) * slope_bc
         left, right = min(u_long, u_short), max(u_long, u_short)
-        if not (left < width and right >= 0.0):
-            continue
-        begin = int(np.ceil(left)) if left > 0.0 else 0
-        end = int(right) if right < width - 1 else width - 1
-        w = wa + (v - va) * rate - u_long * gradient
-        for u in range(begin, end + 1):
-            image[row, u] = max(image[row, u], np.float32(w + u * gradient))
+        # Written so that even a NaN stays inside the image.
+        left = np.ceil(left if left > 0.0 else 0.0)
+        left = left if left < width else float(width)
+        right = np.floor(right if right < width - 1 else width - 1.0)
+        right = right if right > -1.0 else -1.0
+        n = np.int32(right) - np.int32(left) + np.int32(1)
+        w = wa + (v - va) * rate + (left - u_long) * gradient
+        # Rows of CAD models are short, 2 pixels on average, and a loop of unpredictable length costs more
+        # than its pixels: so whole vectors are drawn, at least one, and what lies past the end is masked.
+        at = np.uint64(row * width + int(left))
+        for k in range(np.uint32((max(n, np.int32(1)) + np.int32(_LANES - 1)) & np.int32(-_LANES))):
+            i = np.int32(k)
+            new, old = np.float32(w + i * gradient), buffer[at + k]
+            buffer[at + k] = new if (new > old) & (i < n) else old
+
+
+@njit(cache=True, nogil=True)
+def _upper_first(
+    ua: float, va: float, wa: float, ub: float, vb: float, wb: float
+) -> tuple[float, float, float, float, float, float]:
+    """The two vertices, the upper one first; of two in a row the left one, whatever order they came in."""
+    if vb < va or (vb == va and ub < ua):
+        return ub, vb, wb, ua, va, wa
+    return ua, va, wa, ub, vb, wb
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _draw_clipped(
-    image: F32, vertices: F64, face: U32, pinhole: F64, R: F64, T: F64, near: float
-) -> None:
+    buffer: F32, height: int, width: int,
+    vertices: F64, face: U32, pinhole: F64, R: F64, T: F64, near: float,
+) -> None:  # fmt: skip
     """Draw the part in front of the near plane of a triangle that crosses it: one or two triangles."""
     fx, fy, cx, cy = pinhole
     corners = np.empty((3, 3))
@@ -193,4 +207,4 @@ def _draw_clipped(
     a = polygon[0]
     for k in range(1, n - 1):
         b, c = polygon[k], polygon[k + 1]
-        _draw(image, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+        _draw(buffer, height, width, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
