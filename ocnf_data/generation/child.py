@@ -61,8 +61,7 @@ def _answer(make: Any, item: Item, replies: int) -> None:
         code, message = "internal", f"{type(error).__name__}: {error} ({_place(error)})"
     else:
         header = {"kind": "sample", "key": sample.key, "names": list(sample.members),
-                  "leaf_counts": sample.leaf_counts, "timings": {**sample.timings, **stages.seconds},
-                  "resident": resident_bytes()}
+                  "timings": {**sample.timings, **stages.seconds}, "resident": resident_bytes()}
         write_frame(replies, header, list(sample.members.values()))
         return
     write_frame(replies, {"kind": "failure", "stage": stages.current, "code": code, "message": message,
@@ -94,7 +93,7 @@ def _private_pipes() -> tuple[int, int]:
 
 
 def _die_with(parent: int) -> None:
-    """On Linux, be killed when the parent dies, even in the middle of an item; elsewhere its closing pipe ends us."""
+    """On Linux, be killed when the parent dies, in the middle of an item too; elsewhere its pipe ends us."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before we asked

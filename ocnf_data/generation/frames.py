@@ -1,4 +1,4 @@
-r"""Messages between a worker and its child over two pipes: JSON and raw bytes, nothing that is ever unpickled.
+"""Messages between a worker and its child over two pipes: JSON and raw bytes, nothing to be unpickled.
 
     | b"ocnf" | u32 size of the header, little-endian | header: UTF-8 JSON object | payloads, back to back |
 
@@ -19,7 +19,7 @@ _MAGIC = b"ocnf"
 _PREFIX = struct.Struct("<4sI")
 
 
-class BrokenFrame(Exception):
+class BrokenFrameError(Exception):
     """What arrived is not a message: the other side printed into the pipe, or died within one."""
 
 
@@ -41,12 +41,12 @@ def read_frame(fd: int, deadline: float | None = None) -> tuple[dict[str, Any], 
 
     Raises:
         EOFError: the other side closed the pipe between two messages.
-        BrokenFrame: it closed it within one, or sent something else.
+        BrokenFrameError: it closed it within one, or sent something else.
         TimeoutError: the deadline passed.
     """
     magic, size = _PREFIX.unpack(_read(fd, _PREFIX.size, deadline, first=True))
     if magic != _MAGIC:
-        raise BrokenFrame(f"unexpected bytes in the pipe: {magic!r}")
+        raise BrokenFrameError(f"unexpected bytes in the pipe: {magic!r}")
     header = json.loads(_read(fd, size, deadline))
     return header, [_read(fd, part, deadline) for part in header.pop("payloads")]
 
@@ -61,7 +61,7 @@ def _read(fd: int, size: int, deadline: float | None, first: bool = False) -> by
         if n == 0:
             if first and len(view) == size:
                 raise EOFError("the pipe is closed")
-            raise BrokenFrame("the pipe was closed within a message")
+            raise BrokenFrameError("the pipe was closed within a message")
         view = view[n:]
     return bytes(data)
 

@@ -12,6 +12,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+EXCLUDED = "excluded"
+"""The code of an input that is left out on purpose, and so is no failure."""
+
 
 @dataclass(frozen=True)
 class Item:
@@ -21,9 +24,11 @@ class Item:
         key: the sample's name, unique in the data set, [A-Za-z0-9_-]+.
         split: `train`, `val` or `test`.
         category: as the manifest names it.
-        source: path relative to the mesh root, or `shapes:<category>:<split>:<index>`.
+        source: path of the mesh file relative to the meshes' root; `shapes:<category>:<split>:<index>` for a
+            procedural shape.
         sha256: of the mesh file when the plan was made; None for procedural shapes, and for a file that
             could not be read then (which becomes a failure row, not an aborted run).
+        index: of a procedural shape within its category and split.
     """
 
     key: str
@@ -31,6 +36,7 @@ class Item:
     category: str
     source: str
     sha256: str | None = None
+    index: int | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, as `plan.json` holds them."""
@@ -39,7 +45,21 @@ class Item:
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Item:
         """Inverse of `to_json`."""
-        return cls(row["key"], row["split"], row["category"], row["source"], row["sha256"])
+        return cls(row["key"], row["split"], row["category"], row["source"], row["sha256"], row["index"])
+
+
+@dataclass(frozen=True)
+class ShardPlan:
+    """One shard: `number` counts from 0 within its split."""
+
+    split: str
+    number: int
+    items: tuple[Item, ...]
+
+    @property
+    def name(self) -> str:
+        """`train-000007`."""
+        return f"{self.split}-{self.number:06d}"
 
 
 @dataclass(frozen=True)
@@ -84,14 +104,12 @@ class Sample:
 
     Attributes:
         key: the item's.
-        members: member name (`<key>.json`, `<key>.target-64.oct`, ...) -> bytes, in the order they are written.
-        leaf_counts: for the index, member name without key and suffix (`target-64`) -> number of leaves.
+        members: payload by member name (`json`, `target-64.oct`, ...), in the order they are written.
         timings: seconds by stage; recorded outside everything that is hashed.
     """
 
     key: str
     members: dict[str, bytes]
-    leaf_counts: dict[str, int]
     timings: dict[str, float] = field(default_factory=dict)
 
 

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.child import IDLE_EXIT
-from ocnf_data.generation.frames import BrokenFrame, read_frame, write_frame
+from ocnf_data.generation.frames import BrokenFrameError, read_frame, write_frame
 from ocnf_data.generation.records import Failure, Item, Sample
 
 DEFAULT_MAKER = "ocnf_data.generation.sample:maker"
@@ -78,7 +78,7 @@ class ChildDiedError(Exception):
 
 
 class Supervisor:
-    """Turns items into samples or failures, in a child process of its own. Not for use by two threads at once."""
+    """Turns items into samples or failures, in a child process of its own. For one thread at a time."""
 
     def __init__(self, setup: ChildSetup, limits: Limits) -> None:
         self.setup = setup
@@ -146,7 +146,7 @@ class Supervisor:
 class _Child:
     def __init__(self, setup: ChildSetup) -> None:
         self.resident = 0
-        self._printed: IO[bytes] = tempfile.TemporaryFile("a+b")
+        self._printed: IO[bytes] = tempfile.TemporaryFile("a+b")  # noqa: SIM115  closed in `kill`
         self._process = subprocess.Popen(
             # -P: a file in the user's working folder must not pass for a module of ours.
             [sys.executable, "-P", "-m", "ocnf_data.generation.child", str(os.getpid())],
@@ -182,7 +182,7 @@ class _Child:
                 case _:
                     self.resident = header["resident"]
                     members = dict(zip(header["names"], payloads, strict=True))
-                    return Sample(header["key"], members, header["leaf_counts"], header["timings"])
+                    return Sample(header["key"], members, header["timings"])
 
     def kill(self) -> None:
         self._process.kill()
@@ -202,7 +202,7 @@ class _Child:
             return read_frame(self._replies, deadline)
         except TimeoutError:
             raise ChildDiedError("timeout", stage, f"not finished within {seconds:g} s") from None
-        except (EOFError, BrokenFrame, json.JSONDecodeError):
+        except (EOFError, BrokenFrameError, json.JSONDecodeError):
             raise self._death(stage) from None
 
     def _death(self, stage: str) -> ChildDiedError:
@@ -216,7 +216,8 @@ class _Child:
         if status == -signal.SIGKILL:
             how += ", perhaps for want of memory"
         printed = self._last_words()
-        return ChildDiedError("crash", stage, f"the process making it died ({how})" + (printed and f": {printed}"))
+        message = f"the process making it died ({how})" + (f": {printed}" if printed else "")
+        return ChildDiedError("crash", stage, message)
 
     def _last_words(self, limit: int = 300) -> str:
         self._printed.seek(0)

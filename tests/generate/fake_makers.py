@@ -1,4 +1,4 @@
-"""Stand-ins for `ocnf_data.generation.sample:maker`: what a child does with items whose names say what happens.
+"""Stand-ins for `ocnf_data.generation.sample:maker`, for items whose sources say what is to happen.
 
 A source's last part is the deed: `ok`, `raise`, `refuse`, `segfault`, `hang`, ..., with `-once` for only the
 first time (a file in the folder `state` remembers).
@@ -7,6 +7,7 @@ first time (a file in the folder `state` remembers).
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import time
 from collections.abc import Callable
@@ -36,8 +37,11 @@ def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
             _do(deed)
         with stages("encode"):
             payload = item.key.encode() * 1000
-            members = {"json": b"{}", "target-64.oct": payload, "v1-tsdf-64.oct": os.urandom(0) + payload[::-1]}
-        return Sample(item.key, members, {"target-64": 1, "v1-tsdf-64": 1}, {"pid": float(os.getpid())})
+            facts = {"key": item.key, "category": item.category, "source": item.source,
+                     "leaf_counts": {"target-64.oct": 1, "v1-tsdf-64.oct": 1}}
+            members = {"json": json.dumps(facts).encode(), "target-64.oct": payload,
+                       "v1-tsdf-64.oct": payload[::-1]}
+        return Sample(item.key, members, {"pid": float(os.getpid())})
 
     return make
 

@@ -1,0 +1,165 @@
+"""Where shards are made: in this process, in local processes (joblib's loky), on a Dask or a Ray cluster.
+
+A backend is a generator from tasks to finished shards, in any order. Closing it, which leaving the loop
+does, ends what it started; on an error or Ctrl-C that does not wait for shards in the making.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Sequence
+from typing import Any
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.generation.shard_task import ShardDone, ShardTask, make_shard
+from ocnf_data.generation.supervisor import close_supervisor_of_this_thread
+
+Finished = Generator[ShardDone, None, None]
+# A worker process (not the child its items run in) that dies, of the out-of-memory killer say, costs its
+# shards a new try; this many deaths with nothing finished in between end the run.
+_MAX_DEATHS = 3
+_LOGS = "look at the workers' logs: it is mostly memory that runs out"
+
+
+def finish(tasks: Sequence[ShardTask], jobs: int, backend: str) -> Finished:
+    """Make all shards, yielding each when it is in its place.
+
+    Args:
+        tasks: what is to do.
+        jobs: worker processes; one loky job runs in this process. A cluster named by DASK_SCHEDULER_ADDRESS
+            or RAY_ADDRESS has the workers it has.
+        backend: a name from `BACKENDS`.
+
+    Raises:
+        OcnfError: what a shard raised; the shards finished before are in their places.
+    """
+    if backend not in BACKENDS:
+        raise OcnfError("unknown backend", field="backend", found=backend, expected=" or ".join(BACKENDS))
+    if not tasks:
+        return
+    serial = backend == "loky" and jobs == 1
+    yield from _serial(tasks, jobs) if serial else BACKENDS[backend](tasks, jobs)
+
+
+def _serial(tasks: Sequence[ShardTask], jobs: int) -> Finished:
+    try:
+        for task in tasks:
+            yield make_shard(task)
+    finally:
+        close_supervisor_of_this_thread()
+
+
+def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
+    with _needs("joblib", "generate"):
+        from joblib import Parallel, delayed
+        from joblib.externals.loky import get_reusable_executor
+        from joblib.externals.loky.process_executor import BrokenProcessPool
+    left = {task.shard.name: task for task in tasks}
+    deaths = 0
+    finished = False
+    try:
+        while left:
+            parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered", batch_size=1,
+                                pre_dispatch="2*n_jobs", max_nbytes=None)
+            results = parallel(delayed(_shard_or_error)(task, os.getpid()) for task in list(left.values()))
+            try:
+                for result in results:
+                    done = _raised(result)
+                    del left[done.shard.name]
+                    deaths = 0
+                    yield done
+            except BrokenProcessPool as error:
+                deaths += 1
+                if deaths >= _MAX_DEATHS:
+                    raise OcnfError(f"worker processes keep dying ({type(error).__name__})", code="workers",
+                                    fix="run with fewer --jobs: it is mostly memory that runs out") from error
+        finished = True
+    finally:
+        get_reusable_executor().shutdown(wait=True, kill_workers=not finished)
+
+
+def _dask(tasks: Sequence[ShardTask], jobs: int) -> Finished:
+    with _needs("dask", "cluster"):
+        from distributed import Client, LocalCluster, as_completed
+        from distributed.scheduler import KilledWorker
+    address = os.environ.get("DASK_SCHEDULER_ADDRESS")
+    with contextlib.ExitStack() as stack:
+        if address is None:
+            # Memory is the operating system's to limit: Dask counts a worker's own, not its child's.
+            address = stack.enter_context(LocalCluster(n_workers=jobs, threads_per_worker=1, memory_limit=0,
+                                                       dashboard_address=None))
+        client = stack.enter_context(Client(address))
+        futures = client.map(_shard_or_error, tasks, driver=os.getpid(), pure=False)
+        try:
+            for future in as_completed(futures):
+                try:
+                    result = future.result()
+                except KilledWorker as error:
+                    raise OcnfError(f"a Dask worker died again and again: {error}", code="workers",
+                                    fix=_LOGS) from error
+                yield _raised(result)
+                future.release()
+        finally:
+            client.cancel(futures)
+
+
+def _ray(tasks: Sequence[ShardTask], jobs: int) -> Finished:
+    with _needs("ray", "cluster"):
+        import ray
+    started = not ray.is_initialized()
+    if started:
+        here: dict[str, Any] = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": jobs}
+        ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR, **here)
+    make = ray.remote(num_cpus=1, max_retries=_MAX_DEATHS)(_shard_or_error)
+    waiting = [make.remote(task, os.getpid()) for task in tasks]
+    try:
+        while waiting:
+            ready, waiting = ray.wait(waiting, num_returns=1)
+            try:
+                result = ray.get(ready[0])
+            except ray.exceptions.WorkerCrashedError as error:
+                raise OcnfError(f"a Ray worker died again and again: {error}", code="workers",
+                                fix=_LOGS) from error
+            yield _raised(result)
+    finally:
+        for task in waiting:
+            ray.cancel(task, force=True)
+        if started:
+            ray.shutdown()
+
+
+BACKENDS: dict[str, Callable[[Sequence[ShardTask], int], Finished]] = {
+    "loky": _loky,
+    "dask": _dask,
+    "ray": _ray,
+}
+
+
+def _shard_or_error(task: ShardTask, driver: int) -> ShardDone | OcnfError:
+    """In a worker: errors go back as values, because each backend dresses an exception up differently."""
+    if os.getpid() != driver and threading.current_thread() is threading.main_thread():
+        # Ctrl-C reaches the whole foreground group; the driver decides what becomes of the workers.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        return make_shard(task)
+    except OcnfError as error:
+        return error
+
+
+def _raised(result: ShardDone | OcnfError) -> ShardDone:
+    if isinstance(result, OcnfError):
+        raise result
+    return result
+
+
+@contextlib.contextmanager
+def _needs(library: str, extra: str) -> Generator[None, None, None]:
+    try:
+        yield
+    except ImportError as error:
+        raise OcnfError(f"{library} is not installed", code="missing_extra",
+                        fix=f"pip install 'ocnf[{extra}]'") from error

@@ -1,0 +1,167 @@
+"""`generate`: from a manifest to a folder of shards, resumable at any moment.
+
+    plan.json -> shards, each with its failures and its index -> failures.jsonl -> dataset.json
+
+Every step leaves whole files, and the order makes each file vouch for those before it: a folder without
+`dataset.json` is unfinished, a shard without its index is not there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.generation import supervisor
+from ocnf_data.generation.backends import finish
+from ocnf_data.generation.exclusive import exclusive
+from ocnf_data.generation.plan import Plan, make_plan
+from ocnf_data.generation.progress import ProgressDisplay, live_folder
+from ocnf_data.generation.records import Failure
+from ocnf_data.generation.report import Report
+from ocnf_data.generation.resume import adopt
+from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
+from ocnf_data.generation.supervisor import ChildSetup, Limits
+from ocnf_data.manifest import Manifest, load_manifest
+from ocnf_data.shards.dataset import (
+    DATASET,
+    FAILURES,
+    PLAN,
+    Counts,
+    DatasetInfo,
+    FileEntry,
+    load_dataset,
+    write_dataset,
+)
+from ocnf_data.storage import Store
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, after everything was left resumable; the text says how far the run was."""
+
+
+def generate(
+    manifest: Manifest | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    meshes: str | os.PathLike[str] | None = None,
+    jobs: int = 1,
+    backend: str = "loky",
+    *,
+    retry_failed: bool = False,
+    progress: bool = True,
+) -> Report:
+    """Make the data set that a manifest defines; in a folder where that was begun, finish it.
+
+    The bytes of what comes out depend on the manifest and the meshes alone (and on the versions of libraries,
+    which `plan.json` records): not on `jobs`, `backend`, interruptions or the machine's load. The one
+    exception are items that crash or hang, which become rows of `failures.jsonl`.
+
+    Args:
+        manifest: a manifest, or the path of its YAML.
+        out: a folder or fsspec URL. `memory://` takes jobs=1 only.
+        meshes: the folder that the manifest's mesh paths are relative to.
+        jobs: worker processes, each using one core.
+        backend: `loky` (this machine), `dask` or `ray`; the latter two join the cluster that the environment
+            variable DASK_SCHEDULER_ADDRESS or RAY_ADDRESS names, and else start `jobs` local workers.
+        retry_failed: make the shards with failures anew.
+        progress: show how far the run is, on standard error.
+
+    Raises:
+        OcnfError: bad manifest, missing meshes, a folder begun with something else, a full disk, ...
+        Interrupted: Ctrl-C. What is finished stays; the same call resumes.
+    """
+    begin = time.perf_counter()
+    if not isinstance(manifest, Manifest):
+        manifest = load_manifest(manifest)
+    store = Store(out)
+    _check_workers(store, jobs, backend)
+    root = manifest.meshes_root(meshes)
+    console = Console(stderr=True, quiet=not progress)
+    with exclusive(store):
+        plan, warnings = adopt(store, make_plan(manifest, root))
+        for warning in warnings:
+            console.print(f"[yellow]warning:[/] {warning}")
+        store.clean_temporaries()
+        done = _done_before(store, plan, retry_failed)
+        before = load_dataset(store) if store.exists(DATASET) else None
+        if before is not None and any(shard.name not in done for shard in plan.shards) and retry_failed:
+            store.remove(DATASET)  # its shards are about to change
+            before = None
+        made = _make_missing(store, plan, manifest, root, jobs, backend, console, done)
+        info, failures = _account(store, plan, manifest, done)
+        if before is not None:
+            _compare(before, info, store)
+        write_dataset(store, info)
+    return Report(store.url, info.counts.items, info.counts.samples, failures, plan.exclusions, made,
+                  sum(entry.size for _, entry in info.shards()), time.perf_counter() - begin,
+                  manifest.limits.failure_threshold, tuple(warnings))
+
+
+def _check_workers(store: Store, jobs: int, backend: str) -> None:
+    if jobs < 1:
+        raise OcnfError("not a number of jobs", field="jobs", found=jobs, expected="1 or more")
+    if not store.shared_between_processes and (jobs > 1 or backend != "loky"):
+        raise OcnfError("memory:// lives in one process: what workers write there is lost", where=store.url,
+                        field="jobs", found=f"{jobs} with {backend}", expected="1 with loky")
+
+
+def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, ShardDone]:
+    names = {name for folder in (*plan.splits, "failures") for name in store.list(folder)}
+    found = [find_done(store, shard, names) for shard in plan.shards]
+    return {one.shard.name: one for one in found if one is not None and not (retry_failed and one.failures)}
+
+
+def _make_missing(store: Store, plan: Plan, manifest: Manifest, root: Path | None, jobs: int, backend: str,
+                  console: Console, done: dict[str, ShardDone]) -> int:
+    """Make the shards that are not in `done` and add them; returns how many items they have."""
+    left = [shard for shard in plan.shards if shard.name not in done]
+    n_items = sum(len(shard.items) for shard in left)
+    setup = ChildSetup(plan.manifest, None if root is None else str(root), maker=supervisor.DEFAULT_MAKER)
+    limits = Limits(item_seconds=manifest.limits.timeout_s)
+    try:
+        with live_folder(store, shared=backend == "loky") as live:
+            display = ProgressDisplay(n_items, live, console)
+            where = None if live is None else str(live)
+            tasks = [ShardTask(store.url, shard, setup, limits, where) for shard in left]
+            with display.shown(), contextlib.closing(finish(tasks, jobs, backend)) as finished:
+                for one in finished:
+                    done[one.shard.name] = one
+                    display.shard_finished(one.shard.name, len(one.shard.items), len(one.failures))
+    except KeyboardInterrupt:
+        raise Interrupted(f"stopped with {len(done)} of {len(plan.shards)} shards finished; "
+                          "what is finished is kept, and the same command resumes") from None
+    return n_items
+
+
+def _account(store: Store, plan: Plan, manifest: Manifest,
+             done: dict[str, ShardDone]) -> tuple[DatasetInfo, tuple[Failure, ...]]:
+    """Write `failures.jsonl`; what `dataset.json` is to say, and the failures."""
+    in_order = [done[shard.name] for shard in plan.shards]
+    failures = tuple(failure for one in in_order for failure in one.failures)
+    rows = jsonl([*failures, *plan.exclusions])
+    store.put_bytes(FAILURES, rows)
+    files = [FileEntry.of(PLAN, store.read_bytes(PLAN)), FileEntry.of(FAILURES, rows)]
+    files += [FileEntry.of(failures_path(one.shard), jsonl(one.failures)) for one in in_order if one.failures]
+    samples = sum(one.entry.samples for one in in_order)
+    counts = Counts(items=len(plan.items) + len(plan.exclusions), samples=samples, failures=len(failures),
+                    exclusions=len(plan.exclusions))
+    splits = {split: tuple(one.entry for one in in_order if one.shard.split == split)
+              for split in plan.splits}
+    info = DatasetInfo(name=manifest.name, manifest=plan.manifest, fingerprint=plan.fingerprint,
+                       counts=counts, splits=splits, files=tuple(files))
+    return info, failures
+
+
+def _compare(before: DatasetInfo, now: DatasetInfo, store: Store) -> None:
+    """A finished data set that was mended must be the one that `dataset.json` vouches for."""
+    vouched = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
+    for split, entry in now.shards():
+        if vouched.get((split, entry.shard)) != entry.sha256:
+            raise OcnfError("the shard, made again, is not the one that dataset.json vouches for",
+                            code="changed", where=store.where(f"{split}/{entry.shard}"), found=entry.sha256,
+                            expected=f"sha256 {vouched.get((split, entry.shard), 'none')}",
+                            fix="if an item failed this time, --retry-failed makes its shard once more")

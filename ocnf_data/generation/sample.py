@@ -1,0 +1,172 @@
+"""One sample: mesh -> all views of the rig -> ground truth and inputs as octrees -> bytes.
+
+A pure function of (manifest, item): nothing in here knows of other items, workers, order or time, but for the
+`stages` that are told how long each step took.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.cameras import Views
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
+from ocnf_data.generation.occupancy import occupied
+from ocnf_data.generation.records import Item, Sample, Stages
+from ocnf_data.manifest import Manifest, Target, Variant
+from ocnf_data.noise import add_noise, view_noise
+from ocnf_data.octree import GridOctree
+from ocnf_data.octree.codec import encode
+from ocnf_data.render import render_depth
+from ocnf_data.rigs import look_from, rig_from_name
+from ocnf_data.shards.record import canonical_json
+from ocnf_data.shards.tarformat import JSON, input_member, target_member
+from ocnf_data.sources import Mesh, Normalisation, normalise, read_mesh
+from ocnf_data.sources.shapes import make_shape
+
+F32 = npt.NDArray[np.float32]
+
+
+def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
+    """What a child process calls for each item; `setup` is a `ChildSetup` as plain values."""
+    manifest = Manifest.from_dict(setup["manifest"])
+
+    def make(item: Item, stages: Stages) -> Sample:
+        return make_sample(manifest, item, setup["meshes"], stages=stages)
+
+    return make
+
+
+def make_sample(
+    manifest: Manifest,
+    item: Item,
+    meshes: str | os.PathLike[str] | None = None,
+    *,
+    stages: Stages | None = None,
+) -> Sample:
+    """The sample of an item.
+
+    Args:
+        manifest: what to make.
+        item: out of what.
+        meshes: the folder that `item.source` is relative to; None for procedural shapes.
+        stages: told of each stage and its time.
+
+    Raises:
+        OcnfError: the mesh cannot be used, with the code of `read_mesh`; `changed` where the file is not the
+            one that was planned with; `invisible` where no view sees any of it.
+    """
+    stages = Stages() if stages is None else stages
+    with stages("read"):
+        mesh = _read(manifest, item, meshes)
+    with stages("normalise"):
+        vertices, normalisation = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
+    with stages("render"):
+        views = _render(manifest, vertices, mesh)
+    hit = np.isfinite(views.depth)
+    if not hit.any():
+        raise OcnfError("no camera sees any of the mesh", code="invisible", where=item.source)
+
+    members: dict[str, bytes] = {}
+    leaf_counts: dict[str, int] = {}
+
+    def add(name: str, octree: GridOctree, kind: Encoding | str) -> None:
+        with stages("encode"):
+            members[name] = encode(octree, kind)
+        leaf_counts[name] = octree.n_leaves
+
+    with stages("pyramid"):
+        pyramid = DepthPyramid(views)
+    for resolution in manifest.resolutions:
+        with stages("fuse target"):
+            truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
+            if manifest.target is Target.OCCUPANCY:
+                truth = occupied(truth)
+        add(target_member(resolution), truth, "target")
+    noise = _Noise(manifest.seed, item.key, views.size)
+    for variant in manifest.inputs:
+        with stages("noise"):
+            seen = _observe(manifest, views, variant, noise)
+        with stages("pyramid"):
+            pyramid = DepthPyramid(seen)
+        for encoding in variant.encodings:
+            for resolution in manifest.resolutions:
+                with stages("fuse inputs"):
+                    octree = fuse(pyramid, encoding, resolution, manifest.normalise.extent,
+                                  manifest.truncation(resolution))
+                add(input_member(variant.name, encoding, resolution), octree, encoding)
+    facts = _facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
+    return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
+
+
+def _read(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | None) -> Mesh:
+    if item.index is not None:
+        return make_shape(item.category, manifest.seed, item.index, item.split)
+    if meshes is None:
+        raise OcnfError("the folder of the meshes is not given", code="missing", where=item.source)
+    mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
+    if item.sha256 is not None and mesh.sha256 != item.sha256:
+        raise OcnfError("the file has changed since the plan was made", code="changed", where=item.source,
+                        found=f"sha256 {mesh.sha256}", expected=item.sha256)
+    return mesh
+
+
+def _render(manifest: Manifest, vertices: npt.NDArray[np.float64], mesh: Mesh) -> Views:
+    camera = manifest.camera
+    R, T = look_from(rig_from_name(camera.rig), camera.distance)
+    depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
+    return Views(depth, camera.K, R, T)
+
+
+def _observe(manifest: Manifest, views: Views, variant: Variant, noise: _Noise) -> Views:
+    """The noisy views that an input is made of."""
+    indices = manifest.view_indices(variant)
+    seen = views.subset(indices)
+    if variant.sigma == 0:
+        return seen
+    return seen.with_depth(np.stack([add_noise(depth, variant.sigma, noise(view))
+                                     for view, depth in zip(indices, seen.depth, strict=True)]))
+
+
+class _Noise:
+    """Noise of each view of one item, drawn once for all variants."""
+
+    def __init__(self, seed: int, key: str, size: tuple[int, int]) -> None:
+        self._seed, self._key, self._size = seed, key, size
+        self._drawn: dict[int, F32] = {}
+
+    def __call__(self, view: int) -> F32:
+        if view not in self._drawn:
+            self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
+        return self._drawn[view]
+
+
+def _facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
+           leaf_counts: dict[str, int]) -> dict[str, Any]:
+    """The sample's `json` member. Lengths are in metres, pixels where they say so."""
+    camera = manifest.camera
+    return {
+        "key": item.key,
+        "split": item.split,
+        "category": item.category,
+        "source": item.source,
+        "mesh": {"sha256": mesh.sha256, **mesh.stats},
+        "normalisation": {"centre": normalisation.centre.tolist(), "scale": normalisation.scale,
+                          "extent": manifest.normalise.extent},
+        "camera": {"rig": camera.rig, "views": camera.n_views, "K": camera.K.tolist(),
+                   "size": list(camera.size), "distance": camera.distance, "renderer": manifest.renderer},
+        "coverage": coverage,
+        "seed": manifest.seed,
+        "target": str(manifest.target),
+        "truncation": {str(res): manifest.truncation(res) for res in manifest.resolutions},
+        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), "sigma": variant.sigma}
+                   for variant in manifest.inputs},
+        "leaf_counts": leaf_counts,
+    }

@@ -1,0 +1,124 @@
+"""The unit of work: one worker makes all samples of one shard and writes it to its place.
+
+Failures travel with the shard: `failures/train-000007.jsonl` is written before the shard's index, so that a
+shard that is done accounts for every item it was planned with, and a killed run forgets nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.generation.progress import LiveCount
+from ocnf_data.generation.records import Failure, Item, Sample, ShardPlan
+from ocnf_data.generation.supervisor import ChildSetup, Limits, supervisor_of_this_thread
+from ocnf_data.shards.dataset import ShardEntry
+from ocnf_data.shards.index import ShardIndex, index_path
+from ocnf_data.shards.record import canonical_json
+from ocnf_data.shards.writer import ShardWriter, find_complete
+from ocnf_data.storage import Store
+
+
+@dataclass(frozen=True)
+class ShardTask:
+    """What a worker is told: plain values, so that any backend can send them anywhere.
+
+    Attributes:
+        out: the data set's URL, as the worker reaches it.
+        shard: the shard and its items.
+        setup, limits: for the child process the items run in.
+        live: a folder to count finished items in, for the progress bar; None where the driver sees none.
+    """
+
+    out: str
+    shard: ShardPlan
+    setup: ChildSetup
+    limits: Limits
+    live: str | None = None
+
+
+@dataclass(frozen=True)
+class ShardDone:
+    """A shard that is in its place, with its index: what the driver needs of it."""
+
+    shard: ShardPlan
+    entry: ShardEntry
+    failures: tuple[Failure, ...]
+    seconds: float = 0.0
+
+
+def make_shard(task: ShardTask) -> ShardDone:
+    """Make and publish a shard.
+
+    Raises:
+        OcnfError: the shard cannot be written, or the machine is in trouble; nothing is published then.
+    """
+    begin = time.perf_counter()
+    store, shard = Store(task.out), task.shard
+    supervisor = supervisor_of_this_thread(task.setup, task.limits)
+    failures: list[Failure] = []
+    with LiveCount(task.live, shard.name) as live, ShardWriter(store, shard.split, shard.number) as writer:
+        for item in shard.items:
+            failure = _add(writer, item, supervisor.run(item))
+            if failure is not None:
+                failures.append(failure)
+            live.count(failed=failure is not None)
+        _put_failures(store, shard, failures)
+    return ShardDone(shard, writer.entry, tuple(failures), time.perf_counter() - begin)
+
+
+def find_done(store: Store, shard: ShardPlan, names: Collection[str]) -> ShardDone | None:
+    """The shard, if it is done: whole, and every planned item is in it or has a failure row. None otherwise.
+
+    Args:
+        store: the data set.
+        shard: what was planned.
+        names: all files of the data set (`store.list()`), so that looking costs one listing for all shards.
+    """
+    index_name = index_path(shard.split, f"shard-{shard.number:06d}.tar")
+    if index_name not in names:
+        return None
+    entry = find_complete(store, shard.split, shard.number)
+    if entry is None:
+        return None
+    failures = _read_failures(store, shard) if failures_path(shard) in names else []
+    samples = ShardIndex.from_json(store.read_bytes(index_name), store.where(index_name)).samples
+    accounted = [sample.key for sample in samples] + [failure.item for failure in failures]
+    if sorted(accounted) != sorted(item.key for item in shard.items):
+        return None
+    return ShardDone(shard, entry, tuple(failures))
+
+
+def failures_path(shard: ShardPlan) -> str:
+    """`failures/train-000007.jsonl`, there only if the shard has failures."""
+    return f"failures/{shard.name}.jsonl"
+
+
+def jsonl(failures: Sequence[Failure]) -> bytes:
+    """Failures as JSON lines."""
+    return b"".join(canonical_json(failure.to_json()) for failure in failures)
+
+
+def _add(writer: ShardWriter, item: Item, result: Sample | Failure) -> Failure | None:
+    if isinstance(result, Failure):
+        return result
+    try:
+        writer.add(result.key, result.members, result.timings)
+    except OcnfError as error:  # a member over the format's limits; the disk's troubles are OSErrors in here
+        return Failure.of(item, "write", error.code, str(error))
+    return None
+
+
+def _put_failures(store: Store, shard: ShardPlan, failures: Sequence[Failure]) -> None:
+    if failures:
+        store.put_bytes(failures_path(shard), jsonl(failures))
+    else:
+        store.remove(failures_path(shard))  # of an earlier try
+
+
+def _read_failures(store: Store, shard: ShardPlan) -> list[Failure]:
+    lines = store.read_bytes(failures_path(shard)).splitlines()
+    return [Failure.from_json(json.loads(line)) for line in lines]
