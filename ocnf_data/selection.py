@@ -387,7 +387,8 @@ class ListSource(Strict):
 
 def no_root(where: object = None) -> OcnfError:
     """The error for a source of files whose root folder nobody gave."""
-    return OcnfError("the folder of the meshes is not given", code="missing", where=where, field="source.root",
+    return OcnfError("the folder of the meshes is not given", code="missing", where=where,
+                     field="source.root",
                      fix="give it as --meshes ROOT, or as source.root in the manifest")
 
 
