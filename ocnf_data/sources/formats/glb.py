@@ -23,7 +23,7 @@ _MAX_NODES = 10_000
 
 
 def parse_glb(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
-    """Vertices (N, 3) and triangles (M, 3) of the scene's triangle primitives, their nodes' transforms applied."""
+    """Vertices (N, 3) and triangles (M, 3) of the scene's triangles, the nodes' transforms applied."""
     _check_claims(_json_header(data, where), len(data), where)
     try:
         import trimesh

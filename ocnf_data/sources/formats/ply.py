@@ -66,7 +66,8 @@ class _Element:
         """The fewest bytes one row can take (in ASCII: a digit and a separator for each property)."""
         if not binary:
             return max(2 * len(self.properties), 1)
-        return max(sum((p.dtype if p.count_dtype is None else p.count_dtype).itemsize for p in self.properties), 1)
+        kinds = (p.dtype if p.count_dtype is None else p.count_dtype for p in self.properties)
+        return max(sum(kind.itemsize for kind in kinds), 1)
 
 
 def parse_ply(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:

@@ -64,8 +64,9 @@ def parse_numbers(text: U8, where: str, dtype: type) -> tuple[npt.NDArray, I64]:
     counts, _ = tokens_per_line(text, starts)
     if starts.size == 0:  # numpy reads a number out of pure white space
         return np.empty(0, dtype), counts
+    values: npt.NDArray
     try:
-        values = np.fromstring(text.tobytes(), dtype=dtype, sep=" ")  # type: ignore[call-overload]
+        values = np.fromstring(text.tobytes(), dtype=dtype, sep=" ")
     except ValueError:
         values = np.empty(0, dtype)
     if values.size != starts.size:
