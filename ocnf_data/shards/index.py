@@ -40,7 +40,7 @@ MAX_MEMBERS = 1_000
 MAX_INDEX_BYTES = 64 * 2**20
 _SPLIT = re.compile(r"[a-z][a-z0-9_]{0,31}", re.ASCII)
 _SHARD_PATH = re.compile(rf"{_SPLIT.pattern}/shard-[0-9]{{6}}\.tar", re.ASCII)
-_FOLDERS = frozenset({"timings", "views", "quarantine"})  # what a data set keeps beside its splits
+_FOLDERS = frozenset({"failures", "quarantine", "timings", "views"})  # kept beside the splits
 
 ShardName = Annotated[str, Field(pattern=r"^shard-[0-9]{6}\.tar$")]
 LeafCount = Annotated[int, Field(ge=1, le=2**31 - 1)]

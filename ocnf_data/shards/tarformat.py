@@ -39,7 +39,7 @@ MAX_OCTREE_BYTES = 256 * 2**20
 _KEY = re.compile(rf"[A-Za-z0-9_-]{{1,{MAX_KEY}}}", re.ASCII)
 _ENCODINGS = "|".join(Encoding)
 _MEMBER = re.compile(
-    rf"(?:(?P<target>target)|(?P<variant>[A-Za-z0-9][A-Za-z0-9_-]*)-(?P<encoding>{_ENCODINGS}))"
+    rf"(?:(?P<target>target)|(?P<variant>[A-Za-z0-9_][A-Za-z0-9_-]*)-(?P<encoding>{_ENCODINGS}))"
     r"-(?P<resolution>[1-9][0-9]{0,3})\.oct",
     re.ASCII,
 )

@@ -6,7 +6,6 @@ set passes when there is no problem; a stray file is a note only, where no reade
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -14,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeAlias
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.shards.account import check_account
 from ocnf_data.shards.check import ShardReport, check_shard
 from ocnf_data.shards.dataset import DATASET, FAILURES, PLAN, DatasetInfo, ShardEntry, load_dataset
 from ocnf_data.shards.index import index_path, is_shard, shard_path
@@ -21,10 +21,7 @@ from ocnf_data.shards.report import VerifyReport
 from ocnf_data.shards.writer import file_sha256
 from ocnf_data.storage import Store
 
-EXCLUDED = "excluded"
-"""The code of a row in `failures.jsonl` for an input that the manifest left out on purpose."""
-_MAX_TEXT_BYTES = 256 * 2**20
-_FREE_FOLDERS = ("timings/", "views/", "quarantine/")
+_FREE = (".", "failures/", "quarantine/", "timings/", "views/")
 _Shard: TypeAlias = tuple[str, str, ShardEntry | None]  # split, shard, what dataset.json says of it
 
 
@@ -57,7 +54,7 @@ def verify(
         if count > 1:
             report.add(DATASET, "duplicate", f"{count} samples have this key", key)
     _check_files(store, report, names, shards)
-    _check_account(store, report, set(keys))
+    check_account(store, report, names, set(keys))
     report.problems.sort(key=lambda problem: (problem.file, problem.offset or 0, problem.key or ""))
     return report
 
@@ -102,49 +99,9 @@ def _check_files(store: Store, report: VerifyReport, names: list[str], shards: l
             report.add(entry.name, "sha256", "not the file that dataset.json vouches for")
     splits = {split for split, _, _ in shards}
     for name in names:
-        if name in expected or name.startswith(_FREE_FOLDERS):
+        if name in expected or name.startswith(_FREE):
             continue
         if name.partition("/")[0] in splits or is_shard(name):  # a reader of *.tar would take it for data
             report.add(name, "extra", "nothing vouches for this file")
         else:
             report.notes.append(f"{name} is no part of the data set")
-
-
-def _check_account(store: Store, report: VerifyReport, samples: set[str]) -> None:
-    """Inputs = samples + failures + exclusions, by name: none is lost, none is both."""
-    rows = _read_rows(store, report)
-    failed = Counter(row["item"] for row in rows if row["code"] != EXCLUDED)
-    for key, count in failed.items():
-        if count > 1:
-            report.add(FAILURES, "duplicate", f"{count} rows for one input", key)
-        if key in samples:
-            report.add(FAILURES, "count", "a failure, and a sample too", key)
-    if report.info is None:
-        return
-    for name, found, expected in (
-        ("failures", failed.total(), report.info.counts.failures),
-        ("exclusions", len(rows) - failed.total(), report.info.counts.exclusions),
-    ):
-        if found != expected:
-            report.add(FAILURES, "count", f"{found} {name}, where dataset.json says {expected}")
-
-
-def _read_rows(store: Store, report: VerifyReport) -> list[dict[str, str]]:
-    """The rows of `failures.jsonl`; a row that cannot be read is a problem."""
-    if not store.exists(FAILURES):
-        return []
-    if store.size(FAILURES) > _MAX_TEXT_BYTES:
-        report.add(FAILURES, "too_large", "too large to be read")
-        return []
-    rows = []
-    for number, line in enumerate(store.read_bytes(FAILURES).splitlines(), start=1):
-        try:
-            row = json.loads(line)
-            wrong = not all(isinstance(row[name], str) for name in ("item", "stage", "code", "message"))
-        except (ValueError, KeyError, TypeError, RecursionError):
-            wrong = True
-        if wrong:
-            report.add(FAILURES, "invalid", f"line {number} is no failure row")
-        else:
-            rows.append(row)
-    return rows

@@ -8,6 +8,7 @@ import tarfile
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from ocnf_data.errors import OcnfError
 from ocnf_data.shards.tarformat import (
     BLOCK,
@@ -60,8 +61,8 @@ def test_headers_of_other_writers_are_refused_unless_equal(data: st.DataObject) 
     """Well-formed headers with a valid checksum, any type and any facts: ours or OcnfError."""
     info = tarfile.TarInfo(data.draw(st.one_of(
         st.just("chair_1.json"),
-        st.sampled_from(["../chair.json", "/etc/passwd", "a/b.json", "chair.v2.json", "pipe:ls.json",
-                         "x.pyd", "x.pickle", "chair_1.JSON", "chair_1.target-64.oct\n", ".json", "chair_1."]))))
+        st.sampled_from(["../chair.json", "/etc/passwd", "a/b.json", "chair.v2.json", "pipe:ls.json", "x.pyd",
+                         "x.pickle", "chair_1.JSON", "chair_1.target-64.oct\n", ".json", "chair_1."]))))
     info.size = data.draw(st.integers(0, 8**11 - 1))
     info.type = data.draw(st.sampled_from([bytes([kind]) for kind in b"0123456\0xgLKSV"]))
     info.mode = data.draw(st.sampled_from([0o644, 0o755, 0]))
@@ -78,9 +79,10 @@ def test_headers_of_other_writers_are_refused_unless_equal(data: st.DataObject) 
 
 
 @pytest.mark.parametrize("name", [
-    "../a.json", "a/b.json", "/a.json", "a.b.json", "a.pyd", "a.pickle", "a.depth.pyd", "a.json ", "a.json\n", ".json",
-    "a", "", "a.", "a.target-0.oct", "a.target-064.oct", "a.target-64.oct.gz", "a.v4-rgb-64.oct", "a.-tsdf-64.oct",
-    "ä.json", "pipe:ls.json", "a" * 65 + ".json", "a" * 64 + "." + "v" * 30 + "-tdf_occupancy-64.oct"])
+    "../a.json", "a/b.json", "/a.json", "a.b.json", "a.pyd", "a.pickle", "a.depth.pyd", "a.json ", "a.json\n",
+    ".json", "a", "", "a.", "a.target-0.oct", "a.target-064.oct", "a.target-64.oct.gz", "a.v4-rgb-64.oct",
+    "a.-tsdf-64.oct", "ä.json", "pipe:ls.json", "a" * 65 + ".json",
+    "a" * 64 + "." + "v" * 30 + "-tdf_occupancy-64.oct"])
 def test_names_off_the_list_are_refused(name: str) -> None:
     with pytest.raises(OcnfError) as caught:
         split_name(name)
@@ -95,8 +97,9 @@ def test_names_come_apart() -> None:
     assert tar_name("a", input_member("v1", "occupancy", 64)) == "a.v1-occupancy-64.oct"
 
 
-@pytest.mark.parametrize(("member", "size"), [("json", MAX_JSON_BYTES + 1), ("target-64.oct", MAX_OCTREE_BYTES + 1),
-                                              ("target-64.oct", 8**11 - 1), ("json", -1)])
+@pytest.mark.parametrize(("member", "size"), [
+    ("json", MAX_JSON_BYTES + 1), ("target-64.oct", MAX_OCTREE_BYTES + 1), ("target-64.oct", 8**11 - 1),
+    ("json", -1)])
 def test_impossible_sizes_are_refused(member: str, size: int) -> None:
     with pytest.raises(OcnfError) as caught:
         make_header("a", member, size)
