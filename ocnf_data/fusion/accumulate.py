@@ -19,7 +19,7 @@ N_BINS = 10
 TSDF, TDF_OCCUPANCY, HISTOGRAM, OCCUPANCY = 0, 1, 2, 3
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def project(camera, offsets, z, y, x, pixels, depths, width):
     """Pixel index and z_c of the voxels of the cell at (z, y, x), all of which fall into the image."""
     u0 = camera[0] * x + camera[1] * y + camera[2] * z + camera[3]
@@ -35,7 +35,7 @@ def project(camera, offsets, z, y, x, pixels, depths, width):
         depths[i] = depth
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def project_edge(camera, offsets, z, y, x, pixels, depths, size):
     """Like `project` for any cell; the pixel is -1 for voxels outside the image or not before the camera."""
     height, width = size
@@ -54,7 +54,7 @@ def project_edge(camera, offsets, z, y, x, pixels, depths, size):
                 pixels[i] = np.int32(v) * np.int32(width) + np.int32(u)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def read(image, pixels, measured):
     """Depth of the pixels in metres; 0, no measurement, where there is no pixel."""
     for i in range(CELL_VOXELS):
@@ -62,7 +62,7 @@ def read(image, pixels, measured):
         measured[i] = image[np.uint64(pixel)] if pixel >= 0 else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_tsdf(measured, depths, truncation, totals, counts):
     """Add min(dist / tau, 1) with weight 1 where dist >= -tau."""
     scale = 1.0 / truncation
@@ -73,7 +73,7 @@ def add_tsdf(measured, depths, truncation, totals, counts):
         counts[i] += 1.0 if valid else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_votes(measured, depths, truncation, votes, counts):
     """Add one vote to the bins (64, 10), split linearly between the two nearest centres."""
     for i in range(CELL_VOXELS):
@@ -87,7 +87,7 @@ def add_votes(measured, depths, truncation, votes, counts):
             counts[i] += 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_sight(measured, depths, threshold, counts):
     """Count the views that see more than `threshold` metres past a voxel."""
     for i in range(CELL_VOXELS):
@@ -95,7 +95,7 @@ def add_sight(measured, depths, threshold, counts):
         counts[i] += 1.0 if seen else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def finish(kind, totals, votes, counts, n_free, out):
     """Values of a cell into `out` (4, 4, 4, C) float32; `n_free` more views saw all of it to be free."""
     for i in range(CELL_VOXELS):

@@ -28,7 +28,7 @@ _PIXEL_SLACK = 1e-6
 _METRE_SLACK = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def classify(camera, windows, levels, size, z, y, x, half, near, far):
     """Class of one view for the cube of voxel centres within `half` of (z, y, x), in voxels on each axis.
 

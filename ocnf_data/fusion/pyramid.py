@@ -55,7 +55,7 @@ def _layout(height: int, width: int) -> tuple[npt.NDArray[np.int64], int]:
     return np.array(rows, np.int64), first
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _build_view(depth, levels, windows):
     """Fill `windows` (n_entries, 3) from one depth map (H, W)."""
     height, width = depth.shape
@@ -84,12 +84,12 @@ def _build_view(depth, levels, windows):
                 _merge(cells, i, i1, j, min(j + 1, cells.shape[1] - 1), cells[i, j])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _finite(depth):
     return depth if depth < np.inf else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _level(windows, levels, level):
     """Level `level` as (rows, entries a row, 3)."""
     first, width = levels[level]
@@ -97,7 +97,7 @@ def _level(windows, levels, level):
     return windows[first:last].reshape(((last - first) // width, width, 3))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _merge(cells, i0, i1, j0, j1, out):
     """Combine four cells into `out` (3,)."""
     a, b, c, d = cells[i0, j0], cells[i0, j1], cells[i1, j0], cells[i1, j1]

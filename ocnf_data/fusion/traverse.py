@@ -32,7 +32,7 @@ ROOT = 16
 _MIXED, _FREE, _UNSEEN = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fuse_row(kind, cameras, offsets, depth, windows, levels, near, far, truncation, tolerance, constants,
              root_z, root_y, trees, counts):
     """Fuse the row of root cubes (root_z, root_y, all x).
@@ -119,7 +119,7 @@ def fuse_row(kind, cameras, offsets, depth, windows, levels, near, far, truncati
     return leaves[:n_leaves].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sift(cameras, windows, levels, size, z, y, x, side, near, far, any_free, views, n_views, n_free,
           remaining, flags):
     """Settle what can be settled about the cube at (z, y, x).
@@ -151,7 +151,7 @@ def _sift(cameras, windows, levels, size, z, y, x, side, near, far, any_free, vi
     return n_remaining, n_free, _MIXED if n_remaining > 0 else _UNSEEN
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def place_row(row_leaves, prefix, root_z, root_y, counts, data):
     """Copy the leaves of a row (see `fuse_row`) to their places in `data` (n_leaves, C)."""
     grid = counts.shape
