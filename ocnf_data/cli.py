@@ -1,0 +1,180 @@
+"""`ocnf-data`: generate, verify, look at and mend data sets.
+
+A command imports what it needs when it runs, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from ocnf_data.errors import OcnfError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+                  rich_markup_mode="markdown",
+                  help="Grid-octree training data from meshes: generate, verify, look at, mend.")
+_out = Console()
+_err = Console(stderr=True)
+
+
+class Backend(StrEnum):
+    """Where workers run."""
+
+    LOKY = "loky"
+    DASK = "dask"
+    RAY = "ray"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+Folder = Annotated[str, typer.Argument(metavar="DIR", help="A data set: a folder, or an fsspec URL.")]
+Meshes = Annotated[Path | None, typer.Option(
+    metavar="ROOT", help="The folder that the manifest's mesh paths are relative to.")]
+Jobs = Annotated[int, typer.Option(
+    min=1, metavar="N", default_factory=_cores, show_default="one a core",
+    help="Worker processes, each using one core and up to 0.7 GB.")]
+
+
+@app.callback()
+def _options(ctx: typer.Context, debug: Annotated[bool, typer.Option(
+        "--debug", help="Show where in the code an error was raised.")] = False) -> None:
+    ctx.ensure_object(dict)
+    ctx.obj["debug"] = debug
+
+
+@app.command()
+def generate(
+    manifest: Annotated[Path, typer.Argument(metavar="MANIFEST", help="What to make: a YAML file.")],
+    out: Annotated[str, typer.Option(metavar="DIR", help="Where to: a folder, or an fsspec URL.")],
+    jobs: Jobs,
+    meshes: Meshes = None,
+    backend: Annotated[Backend, typer.Option(
+        help="loky: processes on this machine. dask, ray: the cluster that DASK_SCHEDULER_ADDRESS or "
+             "RAY_ADDRESS names; without it, a local one of N workers.")] = Backend.LOKY,
+    retry_failed: Annotated[bool, typer.Option(
+        "--retry-failed", help="Make the shards again in which items failed.")] = False,
+) -> None:
+    """Make the data set of a manifest.
+
+    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was, and the result is the
+    same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1 when more
+    of them failed than the manifest's limits.failure_threshold.
+    """
+    from ocnf_data.generation import Interrupted
+    from ocnf_data.generation import generate as run
+
+    try:
+        report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed)
+    except Interrupted as stop:
+        _err.print(f"[yellow]{stop}[/]", highlight=False)
+        raise typer.Exit(130) from None
+    _out.print(report.table())
+    if report.failures or report.exclusions:
+        _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False)
+    if not report.ok:
+        _err.print(f"[red]{report.failed_share:.1%} of the items failed; limits.failure_threshold allows "
+                   f"{report.threshold:.1%}[/]", highlight=False)
+        raise typer.Exit(1)
+
+
+@app.command()
+def verify(folder: Folder, jobs: Jobs) -> None:
+    """Check every byte, count and octree of a data set.
+
+    Names the shard, sample, member and offset of whatever is wrong; the exit status is then 1.
+    """
+    from ocnf_data.shards.report import print_verify
+    from ocnf_data.shards.verify import verify as check
+
+    with _bar("verifying") as progress:
+        report = check(folder, jobs, progress)
+    raise typer.Exit(print_verify(report, _out))
+
+
+@app.command()
+def info(folder: Folder) -> None:
+    """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
+    from ocnf_data.shards.info import describe, print_info
+
+    print_info(describe(folder), _out)
+
+
+@app.command()
+def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
+    """Set damaged shards aside in DIR/quarantine and make exactly those again.
+
+    A shard that comes out different from what dataset.json vouches for is an error. Nothing is deleted.
+    """
+    from ocnf_data.generation import generate as run
+    from ocnf_data.manifest import Manifest
+    from ocnf_data.shards import load_dataset
+    from ocnf_data.shards.repair import find_damaged, quarantine, restore_index
+
+    definition = load_dataset(folder).manifest
+    with _bar("verifying") as progress:
+        damaged = find_damaged(folder, jobs, progress)
+    for shard in damaged:
+        _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
+        if restore_index(folder, shard.split, shard.shard):
+            _out.print("  the tar is whole, its index was written anew", highlight=False)
+        else:
+            for name in quarantine(folder, shard.path):
+                _out.print(f"  set aside as {name}", highlight=False)
+    if not damaged:
+        _out.print("[green]no shard is damaged[/]")
+        return
+    _out.print(run(Manifest.from_dict(definition), folder, meshes, jobs).table())
+
+
+def _bar(what: str) -> _Bar:
+    return _Bar(what)
+
+
+class _Bar:
+    """A progress bar to be called with (done, total)."""
+
+    def __init__(self, what: str) -> None:
+        from rich.progress import Progress
+
+        self._progress = Progress(console=_err, disable=not _err.is_terminal)
+        self._task = self._progress.add_task(what, total=None)
+
+    def __enter__(self) -> Callable[[int, int], None]:
+        self._progress.start()
+        return lambda done, total: self._progress.update(self._task, completed=done, total=total)
+
+    def __exit__(self, *error: object) -> None:
+        self._progress.stop()
+
+
+def main() -> None:
+    """Run the command line; a user's error is one red sentence and exit status 1."""
+    debug = "--debug" in sys.argv[1:2]
+    try:
+        app()
+    except OcnfError as error:
+        if debug:
+            raise
+        _err.print(f"[red]error:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
+        sys.exit(1)
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+if __name__ == "__main__":
+    main()
