@@ -15,13 +15,19 @@ import numpy as np
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.sources.meshes import Mesh
+from ocnf_data.sources.shapes.airplanes import airplane
+from ocnf_data.sources.shapes.beds import bed
+from ocnf_data.sources.shapes.cars import car
 from ocnf_data.sources.shapes.draw import Draw
+from ocnf_data.sources.shapes.guitars import guitar
+from ocnf_data.sources.shapes.lamps import lamp
+from ocnf_data.sources.shapes.monitors import monitor
+from ocnf_data.sources.shapes.plants import plant
 from ocnf_data.sources.shapes.primitives import Part, join, subdivide
 from ocnf_data.sources.shapes.seating import chair, sofa
-from ocnf_data.sources.shapes.small import bottle, guitar, lamp, mug, plant
-from ocnf_data.sources.shapes.storage import bed, monitor, shelf
+from ocnf_data.sources.shapes.shelves import shelf
 from ocnf_data.sources.shapes.tables import desk, table
-from ocnf_data.sources.shapes.vehicles import airplane, car
+from ocnf_data.sources.shapes.vessels import bottle, mug
 from ocnf_data.sources.topology import mesh_stats
 
 _BUILDERS: dict[str, Callable[[Draw], list[Part]]] = {
@@ -43,8 +49,13 @@ def make_shape(category: str, seed: int, index: int, split: str) -> Mesh:
         OcnfError: a category that is not in CATEGORIES.
     """
     if category not in _BUILDERS:
-        raise OcnfError("no such procedural shape", code="invalid", field="category", found=category,
-                        expected=", ".join(CATEGORIES))
+        raise OcnfError(
+            "no such procedural shape",
+            code="invalid",
+            field="category",
+            found=category,
+            expected=", ".join(CATEGORIES),
+        )
     draw = Draw("ocnf.shapes.1", seed, category, split, index)
     parts = _BUILDERS[category](draw)
     part = _rewind(parts, draw)
@@ -61,6 +72,8 @@ def _rewind(parts: list[Part], draw: Draw) -> Part:
     if draw.chance(0.15):
         return join(parts)
     inside_out = draw.flags(len(parts), 0.25)
-    whole = join([Part(p.vertices, p.faces[:, ::-1]) if flip else p for p, flip in zip(parts, inside_out, strict=True)])
+    whole = join(
+        [Part(p.vertices, p.faces[:, ::-1]) if flip else p for p, flip in zip(parts, inside_out, strict=True)]
+    )
     flip = draw.flags(len(whole.faces), draw.between(0.02, 0.4))
     return Part(whole.vertices, np.where(flip[:, None], whole.faces[:, ::-1], whole.faces))

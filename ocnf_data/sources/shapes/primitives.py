@@ -24,7 +24,7 @@ class Part(NamedTuple):
 
     def move(self, x: float = 0, y: float = 0, z: float = 0) -> Part:
         """Shifted."""
-        return Part(self.vertices + (x, y, z), self.faces)
+        return Part(self.vertices + np.array([x, y, z]), self.faces)
 
     def scale(self, x: float = 1, y: float = 1, z: float = 1) -> Part:
         """Stretched along the axes from the origin; mirrored for a negative factor, normals kept outside."""
@@ -49,8 +49,10 @@ class Part(NamedTuple):
 def join(parts: Sequence[Part]) -> Part:
     """All parts as one, in order; overlaps stay."""
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts[:-1]])
-    return Part(np.concatenate([p.vertices for p in parts]),
-                np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=True)]))
+    return Part(
+        np.concatenate([p.vertices for p in parts]),
+        np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=True)]),
+    )
 
 
 def around(part: Part, n: int, start: float = 0) -> list[Part]:
@@ -97,7 +99,9 @@ def ellipse(rx: float, ry: float, n: int = 24, power: float = 2) -> F64:
     """Outline (n, 2) of |x/rx|^power + |y/ry|^power = 1; a rectangle as the power grows."""
     t = 2 * np.pi * (np.arange(n) + 0.5) / n
     c, s = np.cos(t), np.sin(t)
-    return np.stack([rx * np.sign(c) * np.abs(c) ** (2 / power), ry * np.sign(s) * np.abs(s) ** (2 / power)], 1)
+    return np.stack(
+        [rx * np.sign(c) * np.abs(c) ** (2 / power), ry * np.sign(s) * np.abs(s) ** (2 / power)], 1
+    )
 
 
 def rectangle(w: float, d: float, corner: float = 0) -> F64:
@@ -111,7 +115,9 @@ def rectangle(w: float, d: float, corner: float = 0) -> F64:
 
 def stack(outlines: Sequence[F64], heights: Sequence[float]) -> F64:
     """Rings (n, m, 3): flat outlines (m, 2) put at heights z."""
-    return np.stack([np.column_stack([o, np.full(len(o), z)]) for o, z in zip(outlines, heights, strict=True)])
+    return np.stack(
+        [np.column_stack([o, np.full(len(o), z)]) for o, z in zip(outlines, heights, strict=True)]
+    )
 
 
 def box(w: float, d: float, h: float) -> Part:
@@ -171,8 +177,13 @@ def ellipsoid(rx: float, ry: float, rz: float, n: int = 20) -> Part:
     return cushion(2 * rx, 2 * ry, 2 * rz, 2, n).move(z=-rz)
 
 
-def tube(path: Sequence[Sequence[float]] | F64, radius: float | Sequence[float] | F64, n: int = 8,
-         loop: bool = False, section: F64 | None = None) -> Part:
+def tube(
+    path: Sequence[Sequence[float]] | F64,
+    radius: float | Sequence[float] | F64,
+    n: int = 8,
+    loop: bool = False,
+    section: F64 | None = None,
+) -> Part:
     """Round bar along a polyline (k, 3); the section is carried along without twisting.
 
     Args:
@@ -219,7 +230,7 @@ def arc(points: Sequence[Sequence[float]], n: int = 12) -> F64:
 
 
 def rounded(points: Sequence[Sequence[float]], radius: float, n: int = 5, loop: bool = False) -> F64:
-    """A polyline (k, 3) with its corners replaced by arcs that begin `radius` before the corner."""
+    """A polyline (k, 3) with its corners replaced by arcs that begin `radius` before them."""
     p = [np.asarray(q, dtype=np.float64) for q in points]
     out: list[F64] = []
     for i, q in enumerate(p):
@@ -264,5 +275,7 @@ def subdivide(part: Part) -> Part:
     n, m = len(part.vertices), len(part.faces)
     ab, bc, ca = (n + k * m + np.arange(m) for k in range(3))
     i, j, k = part.faces.T
-    faces = np.concatenate([np.stack(t, axis=1) for t in ((i, ab, ca), (ab, j, bc), (ca, bc, k), (ab, bc, ca))])
+    faces = np.concatenate(
+        [np.stack(t, axis=1) for t in ((i, ab, ca), (ab, j, bc), (ca, bc, k), (ab, bc, ca))]
+    )
     return Part(np.concatenate([part.vertices, (a + b) / 2, (b + c) / 2, (c + a) / 2]), faces)

@@ -8,7 +8,6 @@ from ocnf_data.sources.shapes.draw import Draw
 from ocnf_data.sources.shapes.primitives import (
     Part,
     arc,
-    around,
     bar,
     bevel_box,
     board,
@@ -52,8 +51,11 @@ def _seat(draw: Draw, w: float, d: float, h: float) -> list[Part]:
         case "woven":
             x, y = np.meshgrid(np.linspace(-w / 2, w / 2, 12), np.linspace(-d / 2, d / 2, 12))
             sag = -0.03 * (1 - (2 * x / w) ** 2) * (1 - (2 * y / d) ** 2)
-            frame = rounded([(w / 2, -d / 2, h), (w / 2, d / 2, h), (-w / 2, d / 2, h), (-w / 2, -d / 2, h)],
-                            0.04, loop=True)
+            frame = rounded(
+                [(w / 2, -d / 2, h), (w / 2, d / 2, h), (-w / 2, d / 2, h), (-w / 2, -d / 2, h)],
+                0.04,
+                loop=True,
+            )
             return [sheet(np.stack([x, y, h + sag], axis=-1)), tube(frame, 0.013, loop=True)]
         case _:
             pad = cushion(w * 0.94, d * 0.94, 0.06, 6).move(z=h + 0.02)
@@ -71,13 +73,32 @@ def _chair_base(draw: Draw, w: float, d: float, h: float) -> list[Part]:
             return [*mirrored([tube(path, 0.011)]), *cross]
         case "cantilever":
             x, y = w / 2 - 0.02, d / 2
-            path = rounded([(x, y, h), (x, -y, h), (x, -y - 0.02, 0.015), (x, y, 0.015), (-x, y, 0.015),
-                            (-x, -y - 0.02, 0.015), (-x, -y, h), (-x, y, h)], 0.07)
+            path = rounded(
+                [
+                    (x, y, h),
+                    (x, -y, h),
+                    (x, -y - 0.02, 0.015),
+                    (x, y, 0.015),
+                    (-x, y, 0.015),
+                    (-x, -y - 0.02, 0.015),
+                    (-x, -y, h),
+                    (-x, y, h),
+                ],
+                0.07,
+            )
             return [tube(path, 0.013)]
         case "pedestal":
             r = draw.between(0.17, 0.24)
-            profile = [(0, 0), (r, 0), (r, 0.02), (0.05, 0.05), (0.03, 0.15), (0.035, h - 0.02), (0.12, h + 0.005),
-                       (0, h + 0.005)]
+            profile = [
+                (0, 0),
+                (r, 0),
+                (r, 0.02),
+                (0.05, 0.05),
+                (0.03, 0.15),
+                (0.035, h - 0.02),
+                (0.12, h + 0.005),
+                (0, h + 0.005),
+            ]
             return [revolve(profile, 28)]
     return four_legs(draw, w, d, h + 0.01, draw.between(0.016, 0.026))
 
@@ -88,7 +109,9 @@ def _back(draw: Draw, w: float, d: float, h: float, tall: float) -> list[Part]:
     post = draw.between(0.012, 0.02)
     style = draw.pick("panel", "slats", "ladder", "hoop", "pad", "cross", "sheet")
     x = w / 2 - post
-    posts = mirrored([tube([(x, 0, -0.03), (x, 0, tall)], post, section=ellipse(1, 1, 8, draw.pick(2.0, 6.0)))])
+    posts = mirrored(
+        [tube([(x, 0, -0.03), (x, 0, tall)], post, section=ellipse(1, 1, 8, draw.pick(2.0, 6.0)))]
+    )
     rail = board(w - post, draw.between(0.05, 0.09), 0.02, 8, bow, draw.between(0, 0.03)).move(z=tall - 0.06)
     match style:
         case "panel":
@@ -105,14 +128,29 @@ def _back(draw: Draw, w: float, d: float, h: float, tall: float) -> list[Part]:
             rung = board(w - post, tall / n * draw.between(0.25, 0.6), 0.015, 8, bow, draw.between(0, 0.02))
             parts = [*posts, *(rung.move(z=tall * (0.1 + 0.88 * i / n)) for i in range(n)), rail]
         case "hoop":
-            path = arc([(x, 0, -0.02), (x * 1.1, 0.02, tall * 0.5), (x * 0.7, bow, tall * 0.92), (0, bow, tall),
-                        (-x * 0.7, bow, tall * 0.92), (-x * 1.1, 0.02, tall * 0.5), (-x, 0, -0.02)], 30)
+            path = arc(
+                [
+                    (x, 0, -0.02),
+                    (x * 1.1, 0.02, tall * 0.5),
+                    (x * 0.7, bow, tall * 0.92),
+                    (0, bow, tall),
+                    (-x * 0.7, bow, tall * 0.92),
+                    (-x * 1.1, 0.02, tall * 0.5),
+                    (-x, 0, -0.02),
+                ],
+                30,
+            )
             n = draw.count(3, 8)
-            spindles = [bar((t * x, 0, 0), (1.1 * t * x, bow * 0.8, tall * (0.99 - 0.28 * t * t)), 0.006)
-                        for t in np.linspace(-0.75, 0.75, n)]
+            spindles = [
+                bar((t * x, 0, 0), (1.1 * t * x, bow * 0.8, tall * (0.99 - 0.28 * t * t)), 0.006)
+                for t in np.linspace(-0.75, 0.75, n)
+            ]
             parts = [tube(path, post), *spindles]
         case "cross":
-            arms = [bar((-x, 0, 0.05), (x, 0, tall - 0.05), 0.011), bar((x, 0, 0.05), (-x, 0, tall - 0.05), 0.011)]
+            arms = [
+                bar((-x, 0, 0.05), (x, 0, tall - 0.05), 0.011),
+                bar((x, 0, 0.05), (-x, 0, tall - 0.05), 0.011),
+            ]
             parts = [*posts, *arms, rail]
         case _:
             gap = draw.between(0.05, 0.2)
@@ -127,11 +165,23 @@ def _arms(draw: Draw, w: float, d: float, h: float) -> list[Part]:
     match draw.pick("posts", "loop", "panel"):
         case "posts":
             rest = bevel_box(draw.between(0.035, 0.07), d, 0.022, 0.006).move(x=x, z=h + up)
-            return mirrored([rest, bar((x, -y * 0.7, h - 0.02), (x, -y * 0.8, h + up + 0.01), 0.013),
-                             bar((x, y * 0.8, h - 0.02), (x, y * 0.8, h + up + 0.01), 0.013)])
+            return mirrored(
+                [
+                    rest,
+                    bar((x, -y * 0.7, h - 0.02), (x, -y * 0.8, h + up + 0.01), 0.013),
+                    bar((x, y * 0.8, h - 0.02), (x, y * 0.8, h + up + 0.01), 0.013),
+                ]
+            )
         case "loop":
-            path = rounded([(x - 0.02, -y * 0.6, h), (x + 0.02, -y * 0.8, h + up), (x + 0.02, y * 0.8, h + up),
-                            (x - 0.02, y * 0.9, h)], 0.07)
+            path = rounded(
+                [
+                    (x - 0.02, -y * 0.6, h),
+                    (x + 0.02, -y * 0.8, h + up),
+                    (x + 0.02, y * 0.8, h + up),
+                    (x - 0.02, y * 0.9, h),
+                ],
+                0.07,
+            )
             return mirrored([tube(path, 0.012)])
         case _:
             return mirrored([bevel_box(0.05, d, up + 0.06, 0.01).move(x=x + 0.015, z=h - 0.03)])
@@ -140,8 +190,17 @@ def _arms(draw: Draw, w: float, d: float, h: float) -> list[Part]:
 def _shell(draw: Draw, w: float, d: float, h: float) -> list[Part]:
     """Seat and back moulded as one bent sheet, open and without thickness."""
     tall = draw.between(0.3, 0.5)
-    line = arc([(0, -d / 2, h - 0.02), (0, -d / 4, h + 0.005), (0, d / 3, h), (0, d / 2, h + 0.08),
-                (0, d / 2 + 0.06, h + tall * 0.6), (0, d / 2 + 0.1, h + tall)], 24)
+    line = arc(
+        [
+            (0, -d / 2, h - 0.02),
+            (0, -d / 4, h + 0.005),
+            (0, d / 3, h),
+            (0, d / 2, h + 0.08),
+            (0, d / 2 + 0.06, h + tall * 0.6),
+            (0, d / 2 + 0.1, h + tall),
+        ],
+        24,
+    )
     u = np.linspace(-1, 1, 17)
     width = w / 2 * (1 - 0.25 * np.linspace(-0.6, 1, 24) ** 2)
     curl = draw.between(0.02, 0.12) * np.sin(np.linspace(0.3, np.pi, 24))
@@ -161,12 +220,17 @@ def sofa(draw: Draw) -> list[Part]:
     power, back_t = draw.between(4, 10), draw.between(0.12, 0.22)
     full = w + 2 * arm
     base_h = seat_h - 0.14 - lift
-    parts = [bevel_box(full, d, base_h, 0.02).move(z=lift), box(w * 0.9, d * 0.6, base_h * 0.6).move(z=lift + 0.02)]
+    parts = [
+        bevel_box(full, d, base_h, 0.02).move(z=lift),
+        box(w * 0.9, d * 0.6, base_h * 0.6).move(z=lift + 0.02),
+    ]
     lean = draw.between(-12, 0)
     parts.append(bevel_box(full, back_t, back_h - lift, 0.04).move(y=d / 2 - back_t / 2, z=lift))
     for i in range(n):
         x = (i + 0.5) * seat_w - w / 2
-        parts.append(cushion(seat_w - 0.01, d - back_t, 0.18, power).move(x=x, y=-back_t / 2, z=seat_h - 0.16))
+        parts.append(
+            cushion(seat_w - 0.01, d - back_t, 0.18, power).move(x=x, y=-back_t / 2, z=seat_h - 0.16)
+        )
         rest = cushion(seat_w - 0.02, 0.2, back_h - seat_h + draw.between(-0.05, 0.05), power)
         parts.append(rest.turn("x", lean).move(x=x, y=d / 2 - back_t - 0.07, z=seat_h - 0.02))
     x = w / 2 + arm / 2
@@ -185,17 +249,16 @@ def sofa(draw: Draw) -> list[Part]:
             path = rounded([(x, -y, 0.01), (x, -y, arm_h), (x, y, arm_h), (x, y, 0.01)], 0.05)
             parts += mirrored([tube(path, 0.018)])
     if draw.chance(0.25):
-        side = draw.pick(-1, 1)
         reach = draw.between(0.5, 0.8)
-        x, y = side * (w / 2 - seat_w / 2), -d / 2 - reach / 2
+        x, y = draw.pick(-1, 1) * (w / 2 - seat_w / 2), -d / 2 - reach / 2
         parts.append(bevel_box(seat_w, reach + 0.05, base_h, 0.02).move(x=x, y=y, z=lift))
         parts.append(cushion(seat_w, reach + 0.05, 0.18, power).move(x=x, y=y, z=seat_h - 0.16))
     if lift > 0.05:
         leg = frustum(draw.between(0.012, 0.025), 0.03, lift + 0.02, 10)
         parts += mirrored([leg.move(x=full / 2 - 0.08, y=s * (d / 2 - 0.08)) for s in (-1, 1)])
     for _ in range(draw.count(0, 3)):
-        pillow = cushion(0.42, 0.14, 0.42, 2.8).turn("x", draw.between(-35, -15)).turn("z", draw.between(-30, 30))
+        pillow = (
+            cushion(0.42, 0.14, 0.42, 2.8).turn("x", draw.between(-35, -15)).turn("z", draw.between(-30, 30))
+        )
         parts.append(pillow.move(x=draw.between(-0.4, 0.4) * w, y=d / 2 - back_t - 0.26, z=seat_h + 0.02))
-    if draw.chance(0.3):
-        parts += around(frustum(0.012, 0.012, 0.012, 8).turn("x", 90).move(y=-d / 2 - 0.001, z=lift + base_h / 2), 1)
     return parts

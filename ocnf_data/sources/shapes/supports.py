@@ -33,7 +33,7 @@ def turned(draw: Draw, r: float, h: float) -> Part:
 
 
 def four_legs(draw: Draw, w: float, d: float, h: float, r: float) -> list[Part]:
-    """Four legs (now and then three, or six under something wide) up to height h, with or without stretchers."""
+    """Four legs (seldom three, or six under something wide) up to height h, some with stretchers."""
     style = draw.pick("square", "round", "tapered", "splayed", "turned", "hairpin", "blade")
     x, y = w / 2 - 1.6 * r, d / 2 - 1.6 * r
     places = [(s * x, t * y) for s in (-1, 1) for t in (-1, 1)]
@@ -63,14 +63,17 @@ def four_legs(draw: Draw, w: float, d: float, h: float, r: float) -> list[Part]:
     if style != "hairpin" and draw.chance(0.4) and len(places) == 4:
         z = h * draw.between(0.2, 0.5)
         t = z / h
-        low = [((1 - t) * fx + t * px, (1 - t) * fy + t * py, z)
-               for (px, py), (fx, fy) in zip(places, feet, strict=True)]
+        low = [
+            ((1 - t) * fx + t * px, (1 - t) * fy + t * py, z)
+            for (px, py), (fx, fy) in zip(places, feet, strict=True)
+        ]
         pairs = draw.pick([(0, 1), (2, 3)], [(0, 1), (2, 3), (0, 2), (1, 3)], [(0, 3), (1, 2)])
         legs += [bar(low[i], low[j], 0.5 * r) for i, j in pairs]
         if len(pairs) == 2 and draw.chance(0.7):
-            middle = [(np.add(low[i], low[j]) / 2) for i, j in pairs]
+            (i, j), (k, m) = pairs
+            middle = np.add([low[i], low[k]], [low[j], low[m]]) / 2
             if np.linalg.norm(middle[0] - middle[1]) > 0.05:
-                legs.append(bar(middle[0], middle[1], 0.5 * r))
+                legs.append(tube(middle, 0.5 * r))
     return legs
 
 
@@ -83,10 +86,22 @@ def star_base(draw: Draw, h: float) -> list[Part]:
     parts = around(spoke, n, start)
     if wheel:
         castor = frustum(wheel, wheel, 0.02, 14).turn("x", 90).move(x=reach - 0.01, z=wheel)
-        twin = [castor.move(y=0.026), castor.move(y=-0.006), frustum(0.008, 0.008, 0.03).move(x=reach - 0.01, z=wheel)]
+        twin = [
+            castor.move(y=0.026),
+            castor.move(y=-0.006),
+            frustum(0.008, 0.008, 0.03).move(x=reach - 0.01, z=wheel),
+        ]
         for p in twin:
             parts += around(p, n, start)
     else:
         parts += around(ellipsoid(0.02, 0.02, 0.02, 10).move(x=reach, z=0.02), n, start)
-    column = [(0, z), (0.035, z), (0.035, h * 0.55), (0.022, h * 0.55), (0.022, h - 0.03), (0.11, h), (0, h + 0.01)]
+    column = [
+        (0, z),
+        (0.035, z),
+        (0.035, h * 0.55),
+        (0.022, h * 0.55),
+        (0.022, h - 0.03),
+        (0.11, h),
+        (0, h + 0.01),
+    ]
     return [*parts, revolve(column, 18)]
