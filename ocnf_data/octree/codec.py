@@ -9,14 +9,13 @@ A safetensors file in one zstd frame, which carries its content size and a check
     data        (n_leaves, C) uint8 or float16, little-endian: see `octree.stored`
 
 The one metadata key `ocnf` holds canonical JSON (sorted keys, no blanks): version, kind, shape (D, H, W),
-units, and `divisor`: value = data / divisor. The header is a function of (kind, shape, n_leaves), so decoding
-compares it as a whole instead of trusting any of it, and equal octrees give equal bytes.
+units, and `divisor`: value = data / divisor. The header's bytes follow from (kind, shape, n_leaves): decoding
+compares all of them instead of trusting any, and equal octrees give equal bytes.
 """
 
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -51,13 +50,11 @@ def encode(octree: GridOctree, kind: str) -> bytes:
 
 def encode_raw(raw: RawOctree) -> bytes:
     """The bytes of an octree that is already in its stored form; equal octrees give equal bytes."""
-    header = json.dumps(_header(raw.kind, raw.shape, raw.n_leaves), separators=(",", ":"), sort_keys=True)
-    packed = header.encode("ascii")
-    packed += b" " * (-len(packed) % 8)
+    header = _header(raw.kind, raw.shape, raw.n_leaves)
     words = raw.trees.astype("<u8", copy=False)
     content = b"".join((
-        struct.pack("<Q", len(packed)),
-        packed,
+        len(header).to_bytes(8, "little"),
+        header,
         np.ascontiguousarray(words.view(np.uint8)[..., :_TREE_BYTES]).data,
         raw.data.astype(raw.data.dtype.newbyteorder("<"), copy=False).data,
     ))
@@ -104,20 +101,25 @@ def decode_raw(blob: bytes, kind: str | None = None) -> RawOctree:
     return RawOctree(trees, data.astype(storage.dtype, copy=False).reshape(n_leaves, -1), raw_kind)
 
 
-def _header(kind: str, shape: tuple[int, int, int], n_leaves: int) -> dict[str, Any]:
-    """The one safetensors header that fits."""
+def _header(kind: str, shape: tuple[int, int, int], n_leaves: int) -> bytes:
+    """The safetensors header of an octree, padded."""
     storage = storage_of(kind)
     meta = {"divisor": storage.divisor, "kind": kind, "shape": list(shape), "units": storage.units,
             "version": VERSION}
     grid = [side // 8 for side in shape]
     n_tree_bytes = grid[0] * grid[1] * grid[2] * _TREE_BYTES
     n_data_bytes = n_leaves * storage.channels * storage.dtype.itemsize
-    return {
-        "__metadata__": {"ocnf": json.dumps(meta, separators=(",", ":"), sort_keys=True)},
+    text = _canonical({
+        "__metadata__": {"ocnf": _canonical(meta)},
         "trees": {"dtype": "U8", "shape": [*grid, _TREE_BYTES], "data_offsets": [0, n_tree_bytes]},
         "data": {"dtype": _SAFETENSORS_DTYPE[storage.dtype], "shape": [n_leaves, storage.channels],
                  "data_offsets": [n_tree_bytes, n_tree_bytes + n_data_bytes]},
-    }
+    }).encode("ascii")
+    return text + b" " * (-len(text) % 8)
+
+
+def _canonical(value: dict[str, Any]) -> str:
+    return json.dumps(value, separators=(",", ":"), sort_keys=True)
 
 
 def _read_header(blob: bytes) -> tuple[str, tuple[int, int, int], int, int]:
@@ -149,8 +151,8 @@ def _read_header(blob: bytes) -> tuple[str, tuple[int, int, int], int, int]:
                         expected=f"1 to {shape[0] * shape[1] * shape[2]}")
     sides = (shape[0], shape[1], shape[2])
     expected = _header(kind, sides, n_leaves)
-    if header != expected:
-        raise OcnfError("the header contradicts itself", code="header", found=header, expected=expected)
+    if text != expected:
+        raise OcnfError("the header contradicts itself", code="header", found=text, expected=expected)
     return kind, sides, n_leaves, 8 + length
 
 

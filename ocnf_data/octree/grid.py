@@ -65,9 +65,7 @@ class GridOctree:
         low, high = _extremes(values)
         if tolerance is None:
             tolerance = 1e-6 * (float(high.max()) - float(low.min()))
-        if not tolerance >= 0:
-            raise OcnfError("not a tolerance", field="tolerance", found=tolerance, expected="0 or more")
-        trees = dense.split_trees(values, low, high, float(tolerance))
+        trees = dense.split_trees(values, low, high, _check_tolerance(tolerance))
         data = dense.mean_leaves(values, low, high, trees, leaf_prefix(trees))
         return cls.trusted(trees.reshape(*_grid_of(values), 2), data)
 
@@ -175,7 +173,8 @@ class GridOctree:
 def split_structure(values: FloatArray, tolerance: float) -> TreeArray:
     """The structure predicate alone: trees (GD, GH, GW, 2) that `from_dense` would make of (C, D, H, W)."""
     values = _check_volume(values)
-    return dense.split_trees(values, *_extremes(values), float(tolerance)).reshape(*_grid_of(values), 2)
+    trees = dense.split_trees(values, *_extremes(values), _check_tolerance(tolerance))
+    return trees.reshape(*_grid_of(values), 2)
 
 
 def mean_on(trees: TreeArray, values: FloatArray) -> FloatArray:
@@ -226,6 +225,12 @@ def _check_volume(values: FloatArray) -> FloatArray:
         raise OcnfError("a side of the volume is not a multiple of 8", field="values",
                         found=values.shape[1:])
     return np.ascontiguousarray(values)
+
+
+def _check_tolerance(tolerance: float) -> float:
+    if not tolerance >= 0:  # NaN is refused too
+        raise OcnfError("not a tolerance", field="tolerance", found=tolerance, expected="0 or more")
+    return float(tolerance)
 
 
 def _extremes(values: FloatArray) -> tuple[FloatArray, FloatArray]:
