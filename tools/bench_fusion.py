@@ -38,9 +38,10 @@ Result = TypeVar("Result")
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("mesh", nargs="?", type=Path)
-    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
+    parser.add_argument("--threads", type=int, default=min(2, numba.get_num_threads()))
     parser.add_argument("--dense-resolution", type=int, default=256)
     parser.add_argument("--no-memory", action="store_true")
     parser.add_argument("--peak-of", type=Encoding, help=argparse.SUPPRESS)  # what the child process is asked

@@ -37,7 +37,7 @@ _SPLIT_TOLERANCE = 1e-6  # of the encoding's full range
 
 
 def default_truncation(resolution: Resolution, extent: float = 3.0) -> float:
-    """tau in metres: 2.1333 voxels."""
+    """The paper's tau in metres: 2.1333 voxels."""
     return _TRUNCATION_VOXELS * extent / max(_shape(resolution))
 
 
@@ -78,8 +78,8 @@ def fuse_histogram(views: Views | DepthPyramid, resolution: Resolution, extent: 
     """The share of the views that vote for each of 10 bins of dist, 10 channels that sum to 1.
 
     Bin centres are `linspace(-1.125, 1.125, 10) * tau`; a vote is split linearly between the two nearest.
-    Views with dist >= -tau vote. Free space is the last bin, a voxel without votes the first. Arguments as for
-    `fuse_tsdf`.
+    Views with dist >= -tau vote. Free space is the last bin, a voxel without votes the first. Arguments as
+    for `fuse_tsdf`.
     """
     grid = _grid(resolution, extent, origin)
     tau = _length("truncation", truncation, default_truncation(resolution, extent))
@@ -147,7 +147,7 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     leaves = map_in_threads(fuse_one, rows)
     prefix = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
     data = np.empty((prefix[-1], encoding.channels), np.float32)
-    while leaves:  # each row's leaves are dropped as soon as they are in place
+    while leaves:  # a row's leaves are dropped as soon as they are in place
         place_row(leaves.pop(), prefix, *rows.pop(), counts, data)
     return GridOctree(trees, data)
 

@@ -9,9 +9,14 @@ reassociated: results do not depend on the machine's vector width, and pixels ar
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from ocnf_data.fusion.frames import CELL
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
 
 CELL_VOXELS = CELL**3
 N_BINS = 10
@@ -20,12 +25,14 @@ TSDF, TDF_OCCUPANCY, HISTOGRAM, OCCUPANCY = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def project(camera, offsets, z, y, x, pixels, depths, width):
+def project(camera: F64, offsets: F64, z: int, y: int, x: int, pixels: I32, depths: F64,
+            size: tuple[int, int]) -> None:
     """Pixel index and z_c of the voxels of the cell at (z, y, x), all of which fall into the image."""
     u0 = camera[0] * x + camera[1] * y + camera[2] * z + camera[3]
     v0 = camera[4] * x + camera[5] * y + camera[6] * z + camera[7]
     z0 = camera[8] * x + camera[9] * y + camera[10] * z + camera[11]
     cu, cv = camera[12], camera[13]
+    width = np.int32(size[1])
     for i in range(CELL_VOXELS):
         depth = z0 + offsets[2, i]
         inverse = 1.0 / depth
@@ -36,7 +43,8 @@ def project(camera, offsets, z, y, x, pixels, depths, width):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def project_edge(camera, offsets, z, y, x, pixels, depths, size):
+def project_edge(camera: F64, offsets: F64, z: int, y: int, x: int, pixels: I32, depths: F64,
+                 size: tuple[int, int]) -> None:
     """Like `project` for any cell; the pixel is -1 for voxels outside the image or not before the camera."""
     height, width = size
     u0 = camera[0] * x + camera[1] * y + camera[2] * z + camera[3]
@@ -55,7 +63,7 @@ def project_edge(camera, offsets, z, y, x, pixels, depths, size):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def read(image, pixels, measured):
+def read(image: F32, pixels: I32, measured: F64) -> None:
     """Depth of the pixels in metres; 0, no measurement, where there is no pixel."""
     for i in range(CELL_VOXELS):
         pixel = pixels[i]
@@ -63,7 +71,7 @@ def read(image, pixels, measured):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_tsdf(measured, depths, truncation, totals, counts):
+def add_tsdf(measured: F64, depths: F64, truncation: float, totals: F64, counts: F64) -> None:
     """Add min(dist / tau, 1) with weight 1 where dist >= -tau."""
     scale = 1.0 / truncation
     for i in range(CELL_VOXELS):
@@ -74,7 +82,7 @@ def add_tsdf(measured, depths, truncation, totals, counts):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_votes(measured, depths, truncation, votes, counts):
+def add_votes(measured: F64, depths: F64, truncation: float, votes: F64, counts: F64) -> None:
     """Add one vote to the bins (64, 10), split linearly between the two nearest centres."""
     for i in range(CELL_VOXELS):
         distance = measured[i] - depths[i]
@@ -88,7 +96,7 @@ def add_votes(measured, depths, truncation, votes, counts):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_sight(measured, depths, threshold, counts):
+def add_sight(measured: F64, depths: F64, threshold: float, counts: F64) -> None:
     """Count the views that see more than `threshold` metres past a voxel."""
     for i in range(CELL_VOXELS):
         seen = (measured[i] - depths[i] > threshold) & (measured[i] > 0)
@@ -96,7 +104,7 @@ def add_sight(measured, depths, threshold, counts):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def finish(kind, totals, votes, counts, n_free, out):
+def finish(kind: int, totals: F64, votes: F64, counts: F64, n_free: int, out: F32) -> None:
     """Values of a cell into `out` (4, 4, 4, C) float32; `n_free` more views saw all of it to be free."""
     for i in range(CELL_VOXELS):
         value = out[i // 16, i // 4 % 4, i % 4]

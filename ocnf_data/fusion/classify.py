@@ -1,16 +1,23 @@
 """What a view can say about a cube of voxels, decided from its depth pyramid without touching a voxel.
 
 Conservative: the pixels looked at contain every pixel that a voxel centre of the cube rounds to, so skipping
-what is classified never changes a value.
+what is classified never changes a value. Cubes come in eights, the parts of one parent, so that the geometry
+of a view is vector code.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from ocnf_data.fusion.pyramid import DEEPEST, FARTHEST, NEAREST
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
 
 NOTHING = 0
 """No voxel of the cube gets a contribution: hidden, behind the camera, outside the image, not measured."""
@@ -23,40 +30,72 @@ SURFACE = 3
 EDGE = 4
 """Added to SILHOUETTE or SURFACE if a voxel may lie outside the image or behind the camera."""
 
+U0, U1, V0, V1, FRONT, BACK = range(6)
+"""Rows of a footprint: first and last pixel column and row, least and greatest z_c in metres."""
+
 # Far above the rounding of float64 at any coordinate in use, far below what matters.
 _PIXEL_SLACK = 1e-6
 _METRE_SLACK = 1e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def classify(camera, windows, levels, size, z, y, x, half, near, far):
-    """Class of one view for the cube of voxel centres within `half` of (z, y, x), in voxels on each axis.
+def footprints(camera: F64, size: tuple[int, int], z: int, y: int, x: int, side: int, out: F64) -> None:
+    """Pixels and depths that eight cubes may touch.
+
+    Cube k = 4 dz + 2 dy + dx has its first voxel at (z, y, x) + side * (dz, dy, dx), `side` voxels a side.
+    `camera` is a row of `frames.grid_cameras`, `size` the image's (H, W); `out` (6, 8) receives the rows U0
+    to BACK, pixels clipped to one beyond the image. They mean nothing for a cube whose FRONT is not positive.
+    """
+    height, width = float(size[0]), float(size[1])
+    half = 0.5 * (side - 1)
+    ux, uy, uz, u1 = camera[0], camera[1], camera[2], camera[3]
+    vx, vy, vz, v1 = camera[4], camera[5], camera[6], camera[7]
+    zx, zy, zz, z1 = camera[8], camera[9], camera[10], camera[11]
+    cu, cv = camera[12], camera[13]
+    reach = half * (abs(zx) + abs(zy) + abs(zz))
+    for k in range(8):
+        kx = x + half + side * (k & 1)
+        ky = y + half + side * (k >> 1 & 1)
+        kz = z + half + side * (k >> 2)
+        depth = zx * kx + zy * ky + zz * kz + z1
+        front = depth - reach
+        # Offsets (a, b) of (f X, Z) within the cube shift the pixel by (a - b f X / Z) / (Z + b). That
+        # numerator is linear in the offset, so its extreme over the cube is an L1 norm.
+        inverse, scale = 1.0 / depth, half / front
+        tu = (ux * kx + uy * ky + uz * kz + u1) * inverse
+        tv = (vx * kx + vy * ky + vz * kz + v1) * inverse
+        ru = scale * (abs(ux - tu * zx) + abs(uy - tu * zy) + abs(uz - tu * zz)) + _PIXEL_SLACK
+        rv = scale * (abs(vx - tv * zx) + abs(vy - tv * zy) + abs(vz - tv * zz)) + _PIXEL_SLACK
+        out[U0, k] = max(math.floor(tu + cu - ru), -1.0)
+        out[U1, k] = min(math.floor(tu + cu + ru), width)
+        out[V0, k] = max(math.floor(tv + cv - rv), -1.0)
+        out[V1, k] = min(math.floor(tv + cv + rv), height)
+        out[FRONT, k] = front
+        out[BACK, k] = depth + reach
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int, int], near: float,
+             far: float) -> int:
+    """Class of one view for cube `k` of a footprint (6, 8).
 
     Args:
-        camera: (14,) float64, a row of `frames.grid_cameras`.
-        windows, levels: that view's part of the DepthPyramid, (n_entries, 3), and its levels.
+        footprint: of that view, by `footprints`.
+        k: which of the eight cubes.
+        windows: that view's part of the DepthPyramid, (n_entries, 3).
+        levels: the DepthPyramid's.
         size: image size (H, W).
-        near, far: metres; a measured pixel with `depth - z_c < near` contributes nothing, one with
-            `depth - z_c >= far` says free.
+        near: metres; a measured pixel with `depth - z_c < near` contributes nothing.
+        far: metres; a pixel with `depth - z_c >= far` says free.
     """
-    height, width = size
-    depth = camera[8] * x + camera[9] * y + camera[10] * z + camera[11]
-    reach = half * (abs(camera[8]) + abs(camera[9]) + abs(camera[10]))
-    nearest, farthest = depth - reach, depth + reach
-    if farthest < -_METRE_SLACK:
+    front, back = footprint[FRONT, k], footprint[BACK, k]
+    if back < -_METRE_SLACK:
         return NOTHING
-    if nearest < _METRE_SLACK:
+    if front < _METRE_SLACK:
         return SURFACE + EDGE
-    # With a, b the offsets of (f X, Z) within the cube: (fX + a) / (Z + b) - fX / Z = (a - b fX / Z) / (Z + b),
-    # whose numerator is linear in the offset, so its extreme over the cube is an L1 norm.
-    tu = (camera[0] * x + camera[1] * y + camera[2] * z + camera[3]) / depth
-    tv = (camera[4] * x + camera[5] * y + camera[6] * z + camera[7]) / depth
-    ru = abs(camera[0] - tu * camera[8]) + abs(camera[1] - tu * camera[9]) + abs(camera[2] - tu * camera[10])
-    rv = abs(camera[4] - tv * camera[8]) + abs(camera[5] - tv * camera[9]) + abs(camera[6] - tv * camera[10])
-    ru = half * ru / nearest + _PIXEL_SLACK
-    rv = half * rv / nearest + _PIXEL_SLACK
-    u, v = tu + camera[12], tv + camera[13]
-    u0, u1, v0, v1 = math.floor(u - ru), math.floor(u + ru), math.floor(v - rv), math.floor(v + rv)
+    height, width = size
+    u0, u1 = int(footprint[U0, k]), int(footprint[U1, k])
+    v0, v1 = int(footprint[V0, k]), int(footprint[V1, k])
     if u1 < 0 or v1 < 0 or u0 >= width or v0 >= height:
         return NOTHING
     edge = 0
@@ -66,16 +105,19 @@ def classify(camera, windows, levels, size, z, y, x, half, near, far):
     level = 1
     while (u1 >> level) - (u0 >> level) > 3 or (v1 >> level) - (v0 >> level) > 3:
         level += 1
-    first, row = levels[level]
+    first, row = levels[level, 0], levels[level, 1]
     j0, i0 = u0 >> level, v0 >> level
     j1, i1 = max((u1 >> level) - 1, j0), max((v1 >> level) - 1, i0)
-    a, b = windows[first + i0 * row + j0], windows[first + i0 * row + j1]
-    c, d = windows[first + i1 * row + j0], windows[first + i1 * row + j1]
-    if min(min(a[NEAREST], b[NEAREST]), min(c[NEAREST], d[NEAREST])) - farthest >= far + _METRE_SLACK:
+    upper, lower = first + i0 * row, first + i1 * row
+    a, b, c, d = upper + j0, upper + j1, lower + j0, lower + j1
+    nearest = min(min(windows[a, NEAREST], windows[b, NEAREST]),
+                  min(windows[c, NEAREST], windows[d, NEAREST]))
+    if nearest - back >= far + _METRE_SLACK:
         return FREE if edge == 0 else SILHOUETTE + EDGE
-    deepest = max(max(a[DEEPEST], b[DEEPEST]), max(c[DEEPEST], d[DEEPEST]))
-    if deepest == 0 or deepest - nearest < near - _METRE_SLACK:
-        if max(max(a[FARTHEST], b[FARTHEST]), max(c[FARTHEST], d[FARTHEST])) < math.inf:
-            return NOTHING
-        return SILHOUETTE + edge
+    deepest = max(max(windows[a, DEEPEST], windows[b, DEEPEST]),
+                  max(windows[c, DEEPEST], windows[d, DEEPEST]))
+    if deepest == 0 or deepest - front < near - _METRE_SLACK:
+        farthest = max(max(windows[a, FARTHEST], windows[b, FARTHEST]),
+                       max(windows[c, FARTHEST], windows[d, FARTHEST]))
+        return NOTHING if farthest < math.inf else SILHOUETTE + edge
     return SURFACE + edge

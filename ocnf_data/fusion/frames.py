@@ -41,15 +41,16 @@ def grid_cameras(views: Views, grid: Grid) -> F64:
     Columns 0-3, 4-7, 8-11: coefficients of (ix, iy, iz, 1) in fx X, fy Y and Z; 12, 13: cx + 0.5, cy + 0.5.
     """
     d, h, w = grid.shape
-    first = np.array(grid.origin) + (0.5 - 0.5 * np.array([w, h, d])) * grid.voxel  # centre of voxel 0, xyz
-    affine = np.concatenate([views.R * grid.voxel, (views.R @ first + views.T)[:, :, None]], axis=2)  # (V, 3, 4)
+    first = np.array(grid.origin) + (0.5 - 0.5 * np.array([w, h, d])) * grid.voxel  # its centre, xyz
+    start = views.R @ first + views.T
+    affine = np.concatenate([views.R * grid.voxel, start[:, :, None]], axis=2)  # (V, 3, 4)
     affine[:, 0] *= views.K[:, 0, 0, None]
     affine[:, 1] *= views.K[:, 1, 1, None]
     return np.concatenate([affine.reshape(-1, 12), views.K[:, :2, 2] + 0.5], axis=1)
 
 
 def cell_offsets(cameras: F64) -> F64:
-    """(V, 3, 64): what the voxels of a cell, (z, y, x) in C order, add to (fx X, fy Y, Z) of its first voxel."""
+    """What the voxels of a cell, (z, y, x) in C order, add to its first's (fx X, fy Y, Z): (V, 3, 64)."""
     z, y, x = np.indices((CELL, CELL, CELL)).reshape(3, 1, 1, -1)
     rows = cameras[:, :12].reshape(-1, 3, 4, 1)
     return rows[:, :, 0] * x + rows[:, :, 1] * y + rows[:, :, 2] * z

@@ -21,6 +21,9 @@ from numba import njit
 from ocnf_data.cameras import Views
 from ocnf_data.fusion.workers import map_in_threads
 
+F32 = npt.NDArray[np.float32]
+I64 = npt.NDArray[np.int64]
+
 NEAREST, DEEPEST, FARTHEST = 0, 1, 2
 
 
@@ -37,7 +40,7 @@ class DepthPyramid:
     def __init__(self, views: Views) -> None:
         self.views = views
         self.levels, n_entries = _layout(*views.size)
-        self.windows: npt.NDArray[np.float32] = np.empty((len(views), n_entries, 3), np.float32)
+        self.windows: F32 = np.empty((len(views), n_entries, 3), np.float32)
 
         def build(view: int) -> None:
             _build_view(views.depth[view], self.levels, self.windows[view])
@@ -45,7 +48,7 @@ class DepthPyramid:
         map_in_threads(build, range(len(views)))
 
 
-def _layout(height: int, width: int) -> tuple[npt.NDArray[np.int64], int]:
+def _layout(height: int, width: int) -> tuple[I64, int]:
     rows, first, level = [(0, 0)], 0, 0
     while level == 0 or max(height, width) > 1:
         level += 1
@@ -56,7 +59,7 @@ def _layout(height: int, width: int) -> tuple[npt.NDArray[np.int64], int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _build_view(depth, levels, windows):
+def _build_view(depth: F32, levels: I64, windows: F32) -> None:
     """Fill `windows` (n_entries, 3) from one depth map (H, W)."""
     height, width = depth.shape
     for i in range((height + 1) // 2):
@@ -85,12 +88,12 @@ def _build_view(depth, levels, windows):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _finite(depth):
+def _finite(depth: np.float32) -> np.float32:
     return depth if depth < np.inf else np.float32(0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _level(windows, levels, level):
+def _level(windows: F32, levels: I64, level: int) -> F32:
     """Level `level` as (rows, entries a row, 3)."""
     first, width = levels[level]
     last = levels[level + 1, 0] if level + 1 < len(levels) else len(windows)
@@ -98,7 +101,7 @@ def _level(windows, levels, level):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _merge(cells, i0, i1, j0, j1, out):
+def _merge(cells: F32, i0: int, i1: int, j0: int, j1: int, out: F32) -> None:
     """Combine four cells into `out` (3,)."""
     a, b, c, d = cells[i0, j0], cells[i0, j1], cells[i1, j0], cells[i1, j1]
     out[NEAREST] = min(min(a[0], b[0]), min(c[0], d[0]))

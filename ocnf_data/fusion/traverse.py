@@ -1,13 +1,14 @@
-"""From the root cubes of 16^3 voxels down to cells of 4^3, straight into trees and leaves.
+"""From root cubes of 32^3 voxels down to cells of 4^3, straight into trees and leaves.
 
-At each size a view that is FREE or says NOTHING about a cube is settled for all of it; only the others go on
-to its eight parts. A cube on which every view is settled, or where at least one says FREE and none comes near
-a surface, is constant: a leaf, or eight, without a voxel evaluated. No dense volume exists at any time.
+At each size a view that says FREE or NOTHING about a cube is settled for all of it; only the others go on to
+its eight parts. A cube that is settled is constant: a leaf a tree, without a voxel evaluated. No dense
+volume exists at any time.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from ocnf_data.fusion.accumulate import (
@@ -23,96 +24,94 @@ from ocnf_data.fusion.accumulate import (
     project_edge,
     read,
 )
-from ocnf_data.fusion.classify import EDGE, FREE, NOTHING, SURFACE, classify
-from ocnf_data.octree.bits import pack_block
+from ocnf_data.fusion.sift import MIXED, N_FREE, N_OPEN, STATE, sift
+from ocnf_data.octree.bits import MAX_LEAVES, pack_block
 
-ROOT = 16
-"""Side of the cubes at which classification begins, in voxels."""
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+U64 = npt.NDArray[np.uint64]
 
-_MIXED, _FREE, _UNSEEN = 0, 1, 2
+ROOT = 32
+"""Side of the cubes at which the descent begins, in voxels."""
+ROOT_TREES = ROOT // 8
+"""The same in trees."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fuse_row(kind, cameras, offsets, depth, windows, levels, near, far, truncation, tolerance, constants,
-             root_z, root_y, trees, counts):
+def fuse_row(
+    kind: int, cameras: F64, offsets: F64, depth: F32, windows: F32, levels: I64, near: float, far: float,
+    truncation: float, tolerance: float, constants: F32, root_z: int, root_y: int, trees: U64, counts: I32,
+) -> F32:
     """Fuse the row of root cubes (root_z, root_y, all x).
 
     Args:
         kind: what to accumulate, one of accumulate's TSDF, TDF_OCCUPANCY, HISTOGRAM, OCCUPANCY.
-        cameras, offsets: `frames.grid_cameras` (V, 14) and `frames.cell_offsets` (V, 3, 64).
+        cameras: (V, 14), `frames.grid_cameras`.
+        offsets: (V, 3, 64), `frames.cell_offsets`.
         depth: (V, H, W) float32.
-        windows, levels: the DepthPyramid's.
-        near, far: metres, see `classify`.
+        windows: (V, n_entries, 3), the DepthPyramid's.
+        levels: the DepthPyramid's.
+        near: metres, see `classify`.
+        far: metres, see `classify`.
         truncation: tau in metres; for OCCUPANCY the threshold.
         tolerance: of the split rule, in the units of the values.
-        constants: (2, C) float32, values of a free voxel and of an unseen one.
+        constants: (2, C) float32, the values of a free voxel and of an unseen one.
+        root_z: which row, in root cubes.
+        root_y: which row, in root cubes.
         trees: (GD, GH, GW, 2) uint64, zeros; the row's trees are written.
-        counts: (GD, GH, GW) int32; leaves of the row's trees are written.
+        counts: (GD, GH, GW) int32; the row's numbers of leaves are written.
 
     Returns:
-        (n, C) float32: leaves of the row's trees, root cubes along x, in each its trees in (z, y, x) order.
+        (n, C) float32: the leaves of the row's trees, in the order of `trees_of_root`.
     """
     n_views, height, width = depth.shape
-    channels = constants.shape[1]
-    grid = counts.shape
+    size = (height, width)
+    one_is_enough = kind == OCCUPANCY
+    gd, gh, gw = counts.shape
     images = depth.reshape((n_views, height * width))
-    lists = np.empty((4, n_views), np.int64)  # the views still in play at 16, 8 and 4 voxels
-    lists[0] = np.arange(n_views)
-    flags = np.empty(n_views, np.int64)
-    values = np.empty((8, 8, 8, channels), np.float32)
-    pixels = np.empty(CELL_VOXELS, np.int32)
-    depths, measured = np.empty(CELL_VOXELS), np.empty(CELL_VOXELS)
-    totals, seen = np.empty(CELL_VOXELS), np.empty(CELL_VOXELS)
-    votes = np.empty((CELL_VOXELS, N_BINS))
-    leaves = np.empty((8 * 512 * ((grid[2] + 1) // 2), channels), np.float32)
+    everything = 2 * np.arange(n_views, dtype=np.int32)
+    footprint = np.empty((6, 8))
+    open16, tally16 = np.empty((8, n_views), np.int32), np.empty((8, 3), np.int32)
+    open8, tally8 = np.empty((8, n_views), np.int32), np.empty((8, 3), np.int32)
+    open4, tally4 = np.empty((8, n_views), np.int32), np.empty((8, 3), np.int32)
+    values = np.empty((8, 8, 8, constants.shape[1]), np.float32)
+    scratch = _scratch()
+    n_roots = -(-gw // ROOT_TREES)
+    leaves = np.empty((ROOT_TREES**3 * MAX_LEAVES * n_roots, constants.shape[1]), np.float32)
     n_leaves = 0
-    for root_x in range((grid[2] + 1) // 2):
-        z0, y0, x0 = ROOT * root_z, ROOT * root_y, ROOT * root_x
-        n1, free1, state1 = _sift(cameras, windows, levels, (height, width), z0, y0, x0, ROOT, near, far,
-                                  kind == OCCUPANCY, lists[0], n_views, 0, lists[1], flags)
-        for tree in range(8):
-            gz, gy, gx = 2 * root_z + (tree >> 2), 2 * root_y + (tree >> 1 & 1), 2 * root_x + (tree & 1)
-            if gz >= grid[0] or gy >= grid[1] or gx >= grid[2]:
+    for root_x in range(n_roots):
+        sift(cameras, windows, levels, size, near, far, one_is_enough, ROOT * root_z, ROOT * root_y,
+             ROOT * root_x, 16, everything, n_views, 0, footprint, open16, tally16)
+        for k in range(64):
+            part, tree = k >> 3, k & 7
+            gz, gy, gx = tree_of_root(root_z, root_y, root_x, k)
+            if tree == 0 and tally16[part, STATE] == MIXED:
+                sift(cameras, windows, levels, size, near, far, one_is_enough, 8 * gz, 8 * gy, 8 * gx, 8,
+                     open16[part], tally16[part, N_OPEN], tally16[part, N_FREE], footprint, open8, tally8)
+            if gz >= gd or gy >= gh or gx >= gw:
                 continue
-            z1, y1, x1 = 8 * gz, 8 * gy, 8 * gx
-            state2 = state1
-            n2, free2 = 0, 0
-            if state1 == _MIXED:
-                n2, free2, state2 = _sift(cameras, windows, levels, (height, width), z1, y1, x1, 8, near, far,
-                                          kind == OCCUPANCY, lists[1], n1, free1, lists[2], flags)
-            if state2 != _MIXED:
-                leaves[n_leaves] = constants[0 if state2 == _FREE else 1]
+            state = tally16[part, STATE]
+            if state == MIXED:
+                state = tally8[tree, STATE]
+            if state != MIXED:
+                leaves[n_leaves] = constants[state]
                 counts[gz, gy, gx] = 1
                 n_leaves += 1
                 continue
+            sift(cameras, windows, levels, size, near, far, one_is_enough, 8 * gz, 8 * gy, 8 * gx, 4,
+                 open8[tree], tally8[tree, N_OPEN], tally8[tree, N_FREE], footprint, open4, tally4)
             for cell in range(8):
                 dz, dy, dx = 4 * (cell >> 2), 4 * (cell >> 1 & 1), 4 * (cell & 1)
-                z, y, x = z1 + dz, y1 + dy, x1 + dx
                 block = values[dz : dz + 4, dy : dy + 4, dx : dx + 4]
-                n3, free3, state3 = _sift(cameras, windows, levels, (height, width), z, y, x, 4, near, far,
-                                          kind == OCCUPANCY, lists[2], n2, free2, lists[3], flags)
-                if state3 != _MIXED:
-                    block[:, :, :] = constants[0 if state3 == _FREE else 1]
+                if tally4[cell, STATE] != MIXED:
+                    block[:, :, :] = constants[tally4[cell, STATE]]
                     continue
-                totals[:] = 0
-                seen[:] = 0
-                if kind == HISTOGRAM:
-                    votes[:] = 0
-                for k in range(n3):
-                    view = lists[3, k]
-                    if flags[k]:
-                        project_edge(cameras[view], offsets[view], z, y, x, pixels, depths, (height, width))
-                    else:
-                        project(cameras[view], offsets[view], z, y, x, pixels, depths, width)
-                    read(images[view], pixels, measured)
-                    if kind == OCCUPANCY:
-                        add_sight(measured, depths, truncation, seen)
-                    elif kind == HISTOGRAM:
-                        add_votes(measured, depths, truncation, votes, seen)
-                    else:
-                        add_tsdf(measured, depths, truncation, totals, seen)
-                finish(kind, totals, votes, seen, free3, block)
-            lo, hi, n = pack_block(values, tolerance, leaves[n_leaves : n_leaves + 512])
+                _fuse_cell(kind, cameras, offsets, images, size, truncation, 8 * gz + dz, 8 * gy + dy,
+                           8 * gx + dx, open4[cell], tally4[cell, N_OPEN], tally4[cell, N_FREE], scratch,
+                           block)
+            lo, hi, n = pack_block(values, tolerance, leaves[n_leaves : n_leaves + MAX_LEAVES])
             trees[gz, gy, gx, 0], trees[gz, gy, gx, 1] = lo, hi
             counts[gz, gy, gx] = n
             n_leaves += n
@@ -120,48 +119,59 @@ def fuse_row(kind, cameras, offsets, depth, windows, levels, near, far, truncati
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sift(cameras, windows, levels, size, z, y, x, side, near, far, any_free, views, n_views, n_free,
-          remaining, flags):
-    """Settle what can be settled about the cube at (z, y, x).
-
-    Of the first `n_views` of `views` those not settled go to `remaining`, with `flags` telling which touch the
-    image's edge. `n_free` views are known to be FREE; with `any_free` one is enough.
-
-    Returns:
-        (number remaining, number of FREE views, _MIXED | _FREE | _UNSEEN).
-    """
-    half = 0.5 * (side - 1)
-    n_remaining = 0
-    surface = False
-    for k in range(n_views):
-        if any_free and n_free > 0:
-            return 0, n_free, _FREE
-        view = views[k]
-        found = classify(cameras[view], windows[view], levels, size, z + half, y + half, x + half, half,
-                         near, far)
-        if found == FREE:
-            n_free += 1
-        elif found != NOTHING:
-            remaining[n_remaining] = view
-            flags[n_remaining] = found & EDGE
-            surface = surface or (found & SURFACE) == SURFACE
-            n_remaining += 1
-    if n_free > 0 and (any_free or not surface):
-        return 0, n_free, _FREE
-    return n_remaining, n_free, _MIXED if n_remaining > 0 else _UNSEEN
+def tree_of_root(root_z: int, root_y: int, root_x: int, k: int) -> tuple[int, int, int]:
+    """Tree `k` (0..63) of a root cube: its parts of 16^3 in (z, y, x) order, in each its eight trees."""
+    part, tree = k >> 3, k & 7
+    return (ROOT_TREES * root_z + 2 * (part >> 2) + (tree >> 2),
+            ROOT_TREES * root_y + 2 * (part >> 1 & 1) + (tree >> 1 & 1),
+            ROOT_TREES * root_x + 2 * (part & 1) + (tree & 1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def place_row(row_leaves, prefix, root_z, root_y, counts, data):
-    """Copy the leaves of a row (see `fuse_row`) to their places in `data` (n_leaves, C)."""
-    grid = counts.shape
+def _scratch() -> tuple[I32, F64, F64, F64, F64, F64]:
+    """What `_fuse_cell` works in: pixels, depths, measured, totals, seen (64,) each, and votes (64, 10)."""
+    return (np.empty(CELL_VOXELS, np.int32), np.empty(CELL_VOXELS), np.empty(CELL_VOXELS),
+            np.empty(CELL_VOXELS), np.empty(CELL_VOXELS), np.empty((CELL_VOXELS, N_BINS)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fuse_cell(
+    kind: int, cameras: F64, offsets: F64, images: F32, size: tuple[int, int], truncation: float,
+    z: int, y: int, x: int, views: I32, n_views: int, n_free: int,
+    scratch: tuple[I32, F64, F64, F64, F64, F64], block: F32,
+) -> None:
+    """Values of the cell at (z, y, x) into `block` (4, 4, 4, C); `n_free` more views say FREE."""
+    pixels, depths, measured, totals, seen, votes = scratch
+    totals[:] = 0
+    seen[:] = 0
+    if kind == HISTOGRAM:
+        votes[:] = 0
+    for n in range(n_views):
+        view, edge = views[n] >> 1, views[n] & 1
+        if edge:
+            project_edge(cameras[view], offsets[view], z, y, x, pixels, depths, size)
+        else:
+            project(cameras[view], offsets[view], z, y, x, pixels, depths, size)
+        read(images[view], pixels, measured)
+        if kind == OCCUPANCY:
+            add_sight(measured, depths, truncation, seen)
+        elif kind == HISTOGRAM:
+            add_votes(measured, depths, truncation, votes, seen)
+        else:
+            add_tsdf(measured, depths, truncation, totals, seen)
+    finish(kind, totals, votes, seen, n_free, block)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_row(row_leaves: F32, prefix: I64, root_z: int, root_y: int, counts: I32, data: F32) -> None:
+    """Copy the leaves of a row (see `fuse_row`) to where `prefix`, by tree in C order, says in `data`."""
+    gd, gh, gw = counts.shape
     n = 0
-    for root_x in range((grid[2] + 1) // 2):
-        for tree in range(8):
-            gz, gy, gx = 2 * root_z + (tree >> 2), 2 * root_y + (tree >> 1 & 1), 2 * root_x + (tree & 1)
-            if gz >= grid[0] or gy >= grid[1] or gx >= grid[2]:
-                continue
-            start = prefix[(gz * grid[1] + gy) * grid[2] + gx]
-            for k in range(counts[gz, gy, gx]):
-                data[start + k] = row_leaves[n + k]
-            n += counts[gz, gy, gx]
+    for root_x in range(-(-gw // ROOT_TREES)):
+        for k in range(64):
+            gz, gy, gx = tree_of_root(root_z, root_y, root_x, k)
+            if gz < gd and gy < gh and gx < gw:
+                count = counts[gz, gy, gx]
+                start = prefix[(gz * gh + gy) * gw + gx]
+                data[start : start + count] = row_leaves[n : n + count]
+                n += count

@@ -163,7 +163,8 @@ def test_the_default_truncation_is_the_papers():
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        ({"resolution": 100}, "resolution"), ({"resolution": 0}, "resolution"), ({"resolution": -8}, "resolution"),
+        ({"resolution": 100}, "resolution"), ({"resolution": 0}, "resolution"),
+        ({"resolution": -8}, "resolution"),
         ({"resolution": 1032}, "resolution"), ({"resolution": (64, 64)}, "resolution"),
         ({"resolution": (64, 64, 60)}, "resolution"), ({"extent": 0.0}, "extent"),
         ({"extent": float("nan")}, "extent"), ({"truncation": -0.1}, "truncation"),

@@ -19,8 +19,8 @@ def test_a_frontal_plane_gives_its_exact_distance(oracle):
     tau = 0.025 * 256 / 16
     distance = float(depth) - ((np.arange(16) + 0.5) * voxel - 1.5 + 3.0)
     expected = np.where(distance >= -tau, np.minimum(distance, tau) / tau, -1.0)
-    np.testing.assert_allclose(dense.values[Encoding.TSDF][0], expected[:, None, None] * np.ones((16, 16, 16)),
-                               atol=1e-12)
+    fused = dense.values[Encoding.TSDF][0]
+    np.testing.assert_allclose(fused, np.broadcast_to(expected[:, None, None], fused.shape), atol=1e-12)
     occupied = np.where(distance > voxel, 0.0, 1.0)
     np.testing.assert_array_equal(dense.values[Encoding.OCCUPANCY][0, :, 3, 5], occupied)
 

@@ -1,0 +1,75 @@
+"""Which views are still open for the eight parts of a cube, and which parts are settled by that alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from ocnf_data.fusion.classify import EDGE, FREE, NOTHING, SURFACE, classify, footprints
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+
+ALL_FREE, ALL_UNSEEN, MIXED = 0, 1, 2
+"""State of a cube: every voxel free; every voxel unseen; to be looked at more closely."""
+
+N_FREE, N_OPEN, STATE = range(3)
+"""Columns of a tally: views that say FREE; views that are open; the state."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sift(
+    cameras: F64, windows: F32, levels: I64, size: tuple[int, int], near: float, far: float,
+    one_is_enough: bool, z: int, y: int, x: int, side: int, views: I32, n_views: int, n_free: int,
+    footprint: F64, open_views: I32, tally: I32,
+) -> None:
+    """Sort the views that are open for a cube at (z, y, x) into those of its eight parts, `side` voxels each.
+
+    A part is settled if no view is open for it, or if some view says FREE and no view comes near a surface:
+    an open view could then only say FREE as well.
+
+    Args:
+        cameras: (V, 14), see `frames.grid_cameras`.
+        windows: (V, n_entries, 3), the DepthPyramid's.
+        levels: the DepthPyramid's.
+        size: image size (H, W).
+        near: metres, see `classify`.
+        far: metres, see `classify`.
+        one_is_enough: whether one FREE view settles a part by itself.
+        z: first voxel of the cube.
+        y: first voxel of the cube.
+        x: first voxel of the cube.
+        side: of a part, in voxels.
+        views: those open for the cube, in ascending order, each `2 * view + edge`.
+        n_views: how many they are.
+        n_free: how many more say FREE about all of the cube.
+        footprint: (6, 8), working space.
+        open_views: (8, V) receives the open views of each part, like `views`.
+        tally: (8, 3) receives N_FREE, N_OPEN and STATE of each part.
+    """
+    near_surface = np.uint32(0)
+    for k in range(8):
+        tally[k, N_FREE], tally[k, N_OPEN] = n_free, 0
+    for n in range(n_views):
+        view = views[n] >> 1
+        footprints(cameras[view], size, z, y, x, side, footprint)
+        for k in range(8):
+            if one_is_enough and tally[k, N_FREE] > 0:
+                continue
+            found = classify(footprint, k, windows[view], levels, size, near, far)
+            if found == FREE:
+                tally[k, N_FREE] += 1
+            elif found != NOTHING:
+                open_views[k, tally[k, N_OPEN]] = 2 * view + (1 if found & EDGE else 0)
+                tally[k, N_OPEN] += 1
+                if found & SURFACE == SURFACE:
+                    near_surface |= np.uint32(1) << np.uint32(k)
+    for k in range(8):
+        surface = (near_surface >> np.uint32(k)) & np.uint32(1) != 0
+        if tally[k, N_FREE] > 0 and (one_is_enough or not surface):
+            tally[k, STATE] = ALL_FREE
+        else:
+            tally[k, STATE] = MIXED if tally[k, N_OPEN] > 0 else ALL_UNSEEN
