@@ -67,9 +67,9 @@ def generate(
 ) -> None:
     """Make the data set of a manifest.
 
-    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was, and the result is the
-    same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1 when more
-    of them failed than the manifest's limits.failure_threshold.
+    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was, and the result is
+    the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
+    when more of them failed than the manifest's limits.failure_threshold.
     """
     from ocnf_data.generation import Interrupted
     from ocnf_data.generation import generate as run

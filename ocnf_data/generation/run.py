@@ -85,7 +85,7 @@ def generate(
         plan, warnings = adopt(store, make_plan(manifest, root))
         for warning in warnings:
             console.print(f"[yellow]warning:[/] {warning}")
-        store.clean_temporaries()
+        store.clean_temporaries()  # of a run that was killed
         done = _done_before(store, plan, retry_failed)
         before = load_dataset(store) if store.exists(DATASET) else None
         if before is not None and any(shard.name not in done for shard in plan.shards) and retry_failed:
@@ -134,6 +134,8 @@ def _make_missing(store: Store, plan: Plan, manifest: Manifest, root: Path | Non
     except KeyboardInterrupt:
         raise Interrupted(f"stopped with {len(done)} of {len(plan.shards)} shards finished; "
                           "what is finished is kept, and the same command resumes") from None
+    finally:
+        store.clean_temporaries()  # of workers that died
     return n_items
 
 

@@ -1,7 +1,7 @@
-"""Stand-ins for `ocnf_data.generation.sample:maker`, for items whose sources say what is to happen.
+"""Stand-ins for `ocnf_data.generation.sample:maker`, for items whose file names say what is to happen.
 
-A source's last part is the deed: `ok`, `raise`, `refuse`, `segfault`, `hang`, ..., with `-once` for only the
-first time (a file in the folder `state` remembers).
+`chair/train/segfault_3.off` crashes, `ok_1.off` makes a sample; `-once` misbehaves the first time only,
+`-unfixed` as long as there is no file `.fixed` in the folder of the meshes.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import signal
 import time
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ocnf_data.errors import OcnfError
@@ -22,21 +23,16 @@ _ballast: list[bytearray] = []
 
 def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
     """Makes the same bytes from the same item, unless the item is made to misbehave."""
-    state = Path(setup["meshes"]) if setup["meshes"] else None
+    root = Path(setup["meshes"] or ".")
 
     def make(item: Item, stages: Stages) -> Sample:
-        deed = item.source.rpartition("/")[2]
-        if deed.endswith("-once"):
-            assert state is not None
-            mark = state / f"{item.key}.done"
-            deed = "ok" if mark.exists() else deed.removesuffix("-once")
-            mark.touch()
         with stages("read"):
             print("libraries print what they like")
+            deed = _deed(item, root)
         with stages("render"):
             _do(deed)
         with stages("encode"):
-            payload = item.key.encode() * 1000
+            payload = item.key.encode() * 3000
             facts = {"key": item.key, "category": item.category, "source": item.source,
                      "leaf_counts": {"target-64.oct": 1, "v1-tsdf-64.oct": 1}}
             members = {"json": json.dumps(facts).encode(), "target-64.oct": payload,
@@ -51,8 +47,22 @@ def broken_maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
     raise RuntimeError("a library is broken")
 
 
+def _deed(item: Item, root: Path) -> str:
+    deed, _, when = PurePosixPath(item.source).stem.partition("_")[0].partition("-")
+    if when == "unfixed":
+        return "ok" if (root / ".fixed").exists() else deed
+    if when == "once":
+        mark = root / f".{item.key}.done"
+        if mark.exists():
+            return "ok"
+        mark.touch()
+    return deed
+
+
 def _do(deed: str) -> None:
     match deed:
+        case "slow":
+            time.sleep(0.05)
         case "raise":
             raise ZeroDivisionError("of all things")
         case "refuse":
@@ -69,3 +79,6 @@ def _do(deed: str) -> None:
             ctypes.CDLL(None).sleep(1000)
         case "hoard":
             _ballast.append(bytearray(os.urandom(1) * (200 * 2**20)))
+        case "orphan":  # as the out-of-memory killer may, take the worker and not the child
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(1000)

@@ -21,7 +21,7 @@ SLOW = 60.0
 
 
 def item(deed: str, key: str = "k") -> Item:
-    return Item(key, "train", "chair", f"chair/{deed}")
+    return Item(key, "train", "chair", f"chair/{deed}.off")
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_one_child_serves_many_items(start) -> None:
     supervisor = start()
     results = [supervisor.run(item("ok", f"k{i}")) for i in range(20)]
     assert [r.key for r in results] == [f"k{i}" for i in range(20)]
-    assert results[3].members["target-64.oct"] == b"k3" * 1000
+    assert results[3].members["target-64.oct"] == b"k3" * 3000
     assert list(results[3].members) == ["json", "target-64.oct", "v1-tsdf-64.oct"]
     assert len({r.timings["pid"] for r in results}) == 1
     assert set(results[0].timings) == {"read", "render", "encode", "pid"}

@@ -1,0 +1,66 @@
+"""What a stored sample was made of, made again: the mesh, the clean and the noisy views."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.cameras import Views
+from ocnf_data.errors import OcnfError
+from ocnf_data.generation.records import Item
+from ocnf_data.generation.sample import Noise, observe, read_item, render_item
+from ocnf_data.manifest import Manifest
+from ocnf_data.sources import Mesh, normalise
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The intermediate results that a data set does not keep.
+
+    Attributes:
+        mesh: as read, in the file's coordinates.
+        vertices: (N, 3) float64 metres, normalised.
+        views: all views of the rig, without noise.
+        observed: the noisy views of each input variant, by its name.
+    """
+
+    mesh: Mesh
+    vertices: npt.NDArray[np.float64]
+    views: Views
+    observed: dict[str, Views]
+
+
+def remake(
+    manifest: Manifest, facts: Mapping[str, Any], meshes: str | os.PathLike[str] | None = None
+) -> Origin:
+    """Read, normalise, render and add noise as generation did for the sample with these facts.
+
+    Args:
+        manifest: of the data set.
+        facts: the sample's `json` member.
+        meshes: the folder of the meshes; None for procedural shapes.
+
+    Raises:
+        OcnfError: the mesh is missing, or not the one that the sample was made of (`changed`).
+    """
+    item = _item(facts)
+    mesh = read_item(manifest, item, meshes)
+    if mesh.sha256 != item.sha256:
+        raise OcnfError("not the mesh that the sample was made of", code="changed", where=item.source,
+                        found=f"sha256 {mesh.sha256}", expected=item.sha256)
+    vertices, _ = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
+    views = render_item(manifest, vertices, mesh)
+    noise = Noise(manifest.seed, item.key, views.size)
+    observed = {variant.name: observe(manifest, views, variant, noise) for variant in manifest.inputs}
+    return Origin(mesh, vertices, views, observed)
+
+
+def _item(facts: Mapping[str, Any]) -> Item:
+    source = facts["source"]
+    index = int(source.rpartition(":")[2]) if source.startswith("shapes:") else None
+    return Item(facts["key"], facts["split"], facts["category"], source, facts["mesh"]["sha256"], index)
