@@ -59,21 +59,26 @@ def check_shard(store: Store, split: str, shard: str, entry: ShardEntry | None) 
     """
     path = shard_path(split, shard)
     report = ShardReport(path)
-    if not store.exists(path):
-        report.add("missing", "the shard is not there")
-        return report
     try:
-        index = _usable_index(store, split, shard, entry, report)
+        present = store.exists(path)
+        if not present:
+            report.add("missing", "the shard is not there")
+        index = _stored_index(store, split, shard, entry, report)
+        if index is None and present:
+            with store.open(path) as file, storage_errors(store.where(path)):
+                index = index_from_tar(file, split, shard, store.where(path))
         if index is not None:
-            _check_tar(store, index, entry, report)
+            report.keys = [sample.key for sample in index.samples]
+            if present:
+                _check_tar(store, index, entry, report)
     except OcnfError as error:
         report.add(error.code, str(error))
     return report
 
 
-def _usable_index(store: Store, split: str, shard: str, entry: ShardEntry | None,
+def _stored_index(store: Store, split: str, shard: str, entry: ShardEntry | None,
                   report: ShardReport) -> ShardIndex | None:
-    """The index to check the tar by; one that is lost or damaged is reported, and made anew for this."""
+    """The index beside the tar; None where it is lost or damaged, which is reported."""
     name = index_path(split, shard)
     if not store.exists(name):
         report.add("missing_index", f"{name} is not there")
@@ -92,29 +97,29 @@ def _usable_index(store: Store, split: str, shard: str, entry: ShardEntry | None
                 if (index.split, index.shard) == (split, shard):
                     return index
                 report.add("index", f"{name} is the index of {index.split}/{index.shard}")
-    where = store.where(report.path)
-    with store.open(report.path) as file, storage_errors(where):
-        return index_from_tar(file, split, shard, where)
+    return None
 
 
 def _check_tar(store: Store, index: ShardIndex, entry: ShardEntry | None, report: ShardReport) -> None:
     """Walk the tar by its index, hashing all of it."""
     digest = hashlib.sha256()
-    where = store.where(report.path)
-    with store.open(report.path) as file, storage_errors(where):
-        for sample in index.samples:
-            report.keys.append(sample.key)
-            for member in sample.members:
-                parts = read_member(file, member)
-                for part in parts:
-                    digest.update(part)
-                faults = list(member_faults(sample.key, member, *parts))
-                report.add_faults(faults)
-                if not any(fault.code in ("checksum", "truncated") for fault in faults):
-                    _check_payload(sample, member, parts[1], report)
-                report.members += 1
+    with store.open(report.path) as file, storage_errors(store.where(report.path)):
+        cut = False
+        for sample, member in index.members():
+            parts = read_member(file, member)
+            for part in parts:
+                digest.update(part)
+            faults = list(member_faults(sample.key, member, *parts))
+            report.add_faults(faults)
+            codes = {fault.code for fault in faults}
+            if cut := "truncated" in codes:  # and so is everything behind it
+                break
+            if "checksum" not in codes:
+                _check_payload(sample, member, parts[1], report)
+            report.members += 1
         end = file.read(len(TRAILER) + 1)
-        report.add_faults(end_faults(end, index.size))
+        if not cut:
+            report.add_faults(end_faults(end, index.size))
         while end:
             digest.update(end)
             end = file.read(2**20)

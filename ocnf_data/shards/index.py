@@ -98,6 +98,12 @@ class ShardIndex(Record):
             raise ValueError(f"a tar of {self.size} bytes, where the members call for {end + len(TRAILER)}")
         return self
 
+    def members(self) -> Iterator[tuple[SampleEntry, Member]]:
+        """Every member of every sample, in the order of the tar."""
+        for sample in self.samples:
+            for member in sample.members:
+                yield sample, member
+
     def sample(self, key: str) -> SampleEntry:
         """The sample of that key; OcnfError (`missing`) where the shard has none."""
         for sample in self.samples:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.shards import ShardIndex, ShardReader, load_dataset
+from ocnf_data.shards import DatasetInfo, ShardIndex, ShardReader, load_dataset
 from ocnf_data.shards.tarformat import BLOCK
 from ocnf_data.shards.verify import verify
 from ocnf_data.storage import Store
@@ -161,10 +161,9 @@ def test_verify_finds_all_of_several_damages(octree_set: Store) -> None:
 def test_a_flipped_bit_anywhere_in_an_index(opaque_set: Store) -> None:
     path = opaque_set.root / INDEX
     whole = path.read_bytes()
-    for bit in range(8 * len(whole)):
-        if bit % 7 == 0:
-            with damaged(path, flipped(whole, bit)):
-                assert reader_notices(opaque_set), bit
+    for bit in range(0, 8 * len(whole), 53):
+        with damaged(path, flipped(whole, bit)):
+            assert reader_notices(opaque_set), bit
 
 
 def test_verify_catches_a_flipped_bit_in_every_other_file(octree_set: Store) -> None:
@@ -182,11 +181,10 @@ def test_verify_catches_a_flipped_bit_in_every_other_file(octree_set: Store) -> 
 
 
 def test_a_flipped_bit_anywhere_in_dataset_json(opaque_set: Store) -> None:
-    path = opaque_set.root / "dataset.json"
-    whole = path.read_bytes()
-    for bit in range(8 * len(whole)):
-        with damaged(path, flipped(whole, bit)), pytest.raises(OcnfError):
-            load_dataset(opaque_set)
+    whole = opaque_set.read_bytes("dataset.json")
+    for bit in range(0, 8 * len(whole), 3):
+        with pytest.raises(OcnfError):
+            DatasetInfo.from_json(flipped(whole, bit), "dataset.json")
 
 
 def test_what_is_not_asked_for_is_not_checked(opaque_set: Store) -> None:
