@@ -1,9 +1,9 @@
 """Where the next iteration begins: (epoch, step), shared by the main process and all worker processes.
 
 A `DataLoader` tells its data set nothing when an epoch begins: with `num_workers=0` it calls `iter` here,
-with workers each of them calls `iter` on its own copy, in new processes every epoch or, persistent, in the old
-ones. The copies have to agree on the epoch without a word from the main process. So there is one small table
-in shared memory, under a lock. What identifies an iteration of a `DataLoader` is, from within its workers,
+with workers each of them calls `iter` on its own copy, in new processes every epoch or, persistent, in the
+old ones. The copies have to agree on the epoch without a word from the main process. So there is one small
+table in shared memory, under a lock. What identifies an iteration of a `DataLoader` is, from within,
 
     token       base seed of the workers, drawn by the DataLoader anew each time it starts processes
     round       how many iterations this process has begun (persistent workers begin one each epoch)

@@ -40,7 +40,7 @@ def read_state(state: Mapping[str, Any], order: Mapping[str, Any]) -> Position:
     expected = make_state(Position(0, 0), order)
     if state.get("schema") != STATE_SCHEMA:
         raise _misfit("the state has another schema version", "schema", state.get("schema"), STATE_SCHEMA)
-    for field in sorted(expected.keys() | state.keys()):
+    for field in (*expected, *(field for field in state if field not in expected)):
         if field not in state:
             raise _misfit("the state lacks a field", field, "nothing", expected[field])
         if field not in expected:

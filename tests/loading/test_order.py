@@ -65,7 +65,8 @@ def test_training_batches_partition_the_order_and_fill_the_tail_with_its_beginni
     ranks = [Partition(n, batch, rank, world, Uneven.REPEAT) for rank in range(world)]
     n_batches = math.ceil(n / (world * batch))
     assert [part.n_batches for part in ranks] == [n_batches] * world
-    walk = [met for step in range(n_batches) for part in ranks for met in zip(*part.places(step), strict=True)]
+    walk = [met for step in range(n_batches) for part in ranks
+            for met in zip(*part.places(step), strict=True)]
     assert walk == [(i % n, i >= n) for i in range(n_batches * world * batch)]
 
 

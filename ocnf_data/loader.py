@@ -1,0 +1,247 @@
+"""The streaming loader: shards in, batches of octrees out, in an order that is a function of (seed, epoch).
+
+>>> dataset = ShardDataset("out", "train", [64, 128], "histogram", batch_size=4)           # doctest: +SKIP
+>>> loader = DataLoader(dataset, batch_size=None, num_workers=2, persistent_workers=True)  # doctest: +SKIP
+>>> for epoch in range(50):                                                                # doctest: +SKIP
+...     for batch in loader:
+...         batch = batch.to("cuda")
+...         batch.inputs[64].trees, batch.inputs[64].to_float(), batch.targets[64].to_float()
+...         state = dataset.state_dict(batch)           # JSON: resumes at the batch after this one
+
+Batches are formed here, so the `DataLoader` gets `batch_size=None`. Worker w of W makes the batches
+s + w, s + w + W, ... from the start s on, and the `DataLoader` takes one of each in turn: they arrive in the
+same order for any number of workers (as long as its `in_order` is left on).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import torch.distributed
+from torch.utils.data import IterableDataset, get_worker_info
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.loading.assemble import Assembler, Lost
+from ocnf_data.loading.augment import Augment
+from ocnf_data.loading.batch import Batch, Octrees, make_batch
+from ocnf_data.loading.catalogue import Request, open_catalogue
+from ocnf_data.loading.cursor import Cursor, Identity, Position
+from ocnf_data.loading.order import Partition, Uneven, epoch_order
+from ocnf_data.loading.settings import (
+    OnError,
+    bad_setting,
+    names,
+    one_of,
+    place_among_ranks,
+    share,
+    sides,
+    whole,
+)
+from ocnf_data.loading.state import make_state, read_state
+
+__all__ = ["Batch", "Lost", "Octrees", "ShardDataset"]
+
+
+class ShardDataset(IterableDataset[Batch]):
+    """Batches out of one or more data sets that `generate` made.
+
+    Args:
+        urls: folder or fsspec URL of a data set, or several of them, taken as one.
+        split: `train`, `val` or `test`.
+        resolutions: which of them, voxels a side; only these are read and decoded.
+        encoding: of the inputs (`occupancy`, `tsdf`, `tdf_occupancy`, `histogram`); None for no inputs.
+        variant: name of the inputs in the manifest; None for the only one that has the encoding.
+        seed: of order and augmentation; 0 is a seed like any other.
+        batch_size: samples a batch, for each rank.
+        rank: of this process; None takes it, like world_size, from torch.distributed if that is initialised,
+            else from RANK and WORLD_SIZE in the environment, else 0 of 1.
+        world_size: processes that train together.
+        on_error: "raise" stops at a damaged sample, with shard, key, member and offset. "skip" leaves it out,
+            logs it and lists it in `Batch.lost`; in its place comes the next sample of the epoch's order
+            from behind the batch, marked `repeat`, so that ranks stay equal in length (with uneven="exact",
+            where ranks may differ, nothing does: the batch is shorter, and may be empty).
+        categories: which of them; None for all.
+        targets: False leaves out the ground truth.
+        shuffle: False meets the samples in the data sets' own order, in every epoch.
+        buffer: samples in the window that is shuffled (see `loading.order`).
+        uneven: "repeat" gives every rank ceil(N / (world_size batch_size)) batches, filled up with the first
+            samples of the epoch's order, marked `repeat`. "exact", for evaluation, gives each sample exactly
+            once; ranks may differ by one batch.
+        drop_last: leave out the samples of the last, incomplete round of batches instead of filling it up.
+        augment: "none", "rotations" (24), "flips" (8) or "all" (48): one symmetry for all octrees of a
+            sample, drawn from (seed, epoch, key).
+        max_bad_fraction: with on_error="skip", the run stops when more than this share of the samples that
+            this rank meets in an epoch is lost, and more than one sample.
+
+    Raises:
+        OcnfError: a setting is impossible, or the data sets do not have what is asked for.
+
+    *Epochs.* Each `iter(loader)` (or `iter(dataset)`) is the next epoch, from 0 on, or from where `set_epoch`
+    says. This holds with and without workers, persistent or not (see `loading.cursor`). Call `set_epoch` and
+    `load_state_dict` before `iter`: workers begin to prefetch at once.
+    """
+
+    def __init__(
+        self,
+        urls: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        split: str,
+        resolutions: int | Sequence[int],
+        encoding: Encoding | str | None,
+        variant: str | None = None,
+        seed: int = 0,
+        batch_size: int = 1,
+        rank: int | None = None,
+        world_size: int | None = None,
+        on_error: str = "raise",
+        *,
+        categories: Sequence[str] | None = None,
+        targets: bool = True,
+        shuffle: bool = True,
+        buffer: int = 1024,
+        uneven: str = "repeat",
+        drop_last: bool = False,
+        augment: str = "none",
+        max_bad_fraction: float = 0.05,
+    ) -> None:
+        request = Request(
+            split=split,
+            resolutions=sides(resolutions),
+            encoding=None if encoding is None else one_of(Encoding, "encoding", encoding),
+            variant=variant,
+            categories=None if categories is None else names("categories", categories),
+            targets=targets,
+        )
+        if encoding is None and not targets:
+            raise bad_setting("nothing is asked for", "encoding", None, "an encoding, or targets=True")
+        self._seed = whole("seed", seed, least=0)
+        self._buffer = whole("buffer", buffer, least=1)
+        self._shuffle = shuffle
+        tail = one_of(Uneven, "uneven", uneven)
+        if drop_last and tail is Uneven.EXACT:
+            raise bad_setting("an exact epoch drops nothing", "drop_last", True, "False")
+        running = None
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            running = torch.distributed.get_rank(), torch.distributed.get_world_size()
+        rank, world_size = place_among_ranks(rank, world_size, running)
+        self._augment = one_of(Augment, "augment", augment)
+        policy = one_of(OnError, "on_error", on_error)
+        bad_share = share("max_bad_fraction", max_bad_fraction)
+        batch_size = whole("batch_size", batch_size, least=1)
+
+        self._catalogue = open_catalogue(names("urls", urls), request)
+        self._partition = Partition(len(self._catalogue), batch_size, rank, world_size,
+                                    Uneven.DROP if drop_last else tail)
+        self._assembler = Assembler(self._catalogue, self._partition, self._seed, self._augment, policy,
+                                    bad_share)
+        self._cursor = Cursor()
+        self._rounds = 0
+
+    def __len__(self) -> int:
+        """Batches of this rank in a whole epoch (an epoch resumed at step s has s fewer)."""
+        return self._partition.n_batches
+
+    def __iter__(self) -> Iterator[Batch]:
+        # Not a generator itself: the epoch is claimed now, not at the first batch.
+        worker = get_worker_info()
+        if worker is None:
+            position, number, workers = self._cursor.claim(), 0, 1
+        else:
+            number, workers = worker.id, worker.num_workers
+            identity = Identity(worker.seed - worker.id, self._rounds, self._cursor.generation)
+            position = self._cursor.claim(number, identity)
+        self._rounds += 1
+        return self._batches(position.epoch, range(position.step + number, len(self), workers))
+
+    def _batches(self, epoch: int, steps: range) -> Iterator[Batch]:
+        catalogue = self._catalogue
+        order = epoch_order(catalogue.shard_sizes, self._seed, epoch, self._buffer, self._shuffle)
+        for step in steps:
+            yield make_batch(self._assembler.assemble(order, epoch, step), catalogue.request, epoch, step)
+
+    # ---- epochs and states
+
+    @property
+    def epoch(self) -> int:
+        """The epoch that the next `iter` begins."""
+        return self._cursor.peek()[0].epoch
+
+    def set_epoch(self, epoch: int) -> None:
+        """Let the next `iter` begin this epoch; a state just loaded that lies in it keeps its place."""
+        epoch = whole("epoch", epoch, least=0)
+        position, resumed = self._cursor.peek()
+        if not (resumed and position.epoch == epoch):
+            self._cursor.set(Position(epoch, 0))
+
+    def state_dict(self, batch: Batch | None = None) -> dict[str, Any]:
+        """The state after a batch, whatever was prefetched beyond it; before the next `iter` if None. JSON.
+
+        All ranks have the same state after the same step, except with uneven="exact", where each has its own.
+        """
+        if batch is None:
+            position = self._cursor.peek()[0]
+        elif batch.step + 1 < len(self):
+            position = Position(batch.epoch, batch.step + 1)
+        else:
+            position = Position(batch.epoch + 1, 0)
+        return make_state(position, self._order())
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Let the next `iter` begin where the state was taken, with any number of workers.
+
+        Raises:
+            OcnfError: code `state`; the first field that does not fit, with both values.
+        """
+        position = read_state(state, self._order())
+        if position.step >= len(self):
+            raise OcnfError("the state lies behind the end of the epoch", code="state",
+                            where="the loader's state", field="step", found=position.step,
+                            expected=f"0 to {len(self) - 1}")
+        self._cursor.set(position, resumed=True)
+
+    def _order(self) -> dict[str, Any]:
+        """All that batch i of an epoch depends on."""
+        request, partition = self._catalogue.request, self._partition
+        order: dict[str, Any] = {
+            "datasets": list(self._catalogue.datasets),
+            "split": request.split,
+            "categories": None if request.categories is None else list(request.categories),
+            "resolutions": list(request.resolutions),
+            "encoding": None if request.encoding is None else str(request.encoding),
+            "variant": request.variant,
+            "targets": request.targets,
+            "n_samples": partition.n_samples,
+            "seed": self._seed,
+            "shuffle": self._shuffle,
+            "buffer": self._buffer,
+            "augment": str(self._augment),
+            "batch_size": partition.batch_size,
+            "world_size": partition.world_size,
+            "uneven": str(partition.uneven),
+        }
+        if partition.uneven is Uneven.EXACT:  # ranks differ in length, so a step means another place in each
+            order["rank"] = partition.rank
+        return order
+
+    # ---- what is in it
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of all samples, of all ranks, in the data sets' own order."""
+        return self._catalogue.keys
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """The resolved manifest of the (first) data set: truncation, extent, target, inputs, ..."""
+        return self._catalogue.manifest
+
+    @property
+    def variant(self) -> str | None:
+        """Name of the inputs."""
+        return self._catalogue.request.variant
+
+    def lost(self, epoch: int) -> list[str]:
+        """Keys of the samples that this rank, all its workers together, left out in an epoch as damaged."""
+        return self._assembler.lost(epoch)

@@ -1,0 +1,123 @@
+"""The samples of a batch, damaged ones replaced or left out: the torch-free half of what a worker does."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.loading.augment import Augment, draw_symmetry
+from ocnf_data.loading.catalogue import Catalogue
+from ocnf_data.loading.fetch import Fetcher, RawSample
+from ocnf_data.loading.order import Indices, Partition, Uneven
+from ocnf_data.loading.settings import OnError
+from ocnf_data.octree.symmetry import Symmetry
+
+_log = logging.getLogger("ocnf_data.loader")
+# Skipping these would hide that nothing can be read at all.
+_NOT_DAMAGE = frozenset({"unreachable", "permission"})
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A damaged sample that was left out: its key, and the error's code and sentence."""
+
+    key: str
+    code: str
+    error: str
+
+
+@dataclass(frozen=True, eq=False)
+class Assembled:
+    """The samples of a batch, augmented; `repeat` and `symmetries` have one entry for each."""
+
+    samples: tuple[RawSample, ...]
+    repeat: tuple[bool, ...]
+    symmetries: tuple[Symmetry, ...]
+    lost: tuple[Lost, ...]
+
+
+class Assembler:
+    """Makes any batch of any epoch of one rank; copies in worker processes count losses together.
+
+    Args:
+        catalogue: the samples.
+        partition: which of them make a batch.
+        seed: of the augmentation.
+        augment: the group of symmetries.
+        on_error: what becomes of a damaged sample.
+        max_bad_fraction: share of the samples of a rank's epoch that may be lost; one always may.
+    """
+
+    def __init__(self, catalogue: Catalogue, partition: Partition, seed: int, augment: Augment,
+                 on_error: OnError, max_bad_fraction: float) -> None:
+        self._partition = partition
+        self._seed, self._augment, self._on_error = seed, augment, on_error
+        self._fetcher = Fetcher(catalogue)
+        self._keys = catalogue.keys
+        met = min(len(catalogue), partition.n_batches * partition.batch_size)
+        self._limit = max(1, int(max_bad_fraction * met))
+        # Last epoch, counted from 1, in which each sample was lost. Workers write without a lock: two that
+        # lose the same sample write the same number. Of a spawn context, which works under fork too.
+        self._lost_in = multiprocessing.get_context("spawn").RawArray("q", len(catalogue))
+
+    def assemble(self, order: Indices, epoch: int, step: int) -> Assembled:
+        """Batch `step` of the epoch whose order is given.
+
+        Raises:
+            OcnfError: a sample is damaged, or (code `too_many_bad`) too many of them are.
+        """
+        places, repeat = self._partition.places(step)
+        spares = self._partition.spares(step)
+        good: list[tuple[RawSample, bool]] = []
+        lost: list[Lost] = []
+        for sample, again in zip(order[places].tolist(), repeat.tolist(), strict=True):
+            fetched = self._try(sample, epoch, lost)
+            if fetched is not None:
+                good.append((fetched, again))
+            elif self._partition.uneven is not Uneven.EXACT:
+                good.append((self._stand_in(order, epoch, spares, lost), True))
+        samples = tuple(sample for sample, _ in good)
+        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.key) for sample in samples)
+        if self._augment is not Augment.NONE:
+            samples = tuple(sample.moved(move) for sample, move in zip(samples, symmetries, strict=True))
+        return Assembled(samples, tuple(again for _, again in good), symmetries, tuple(lost))
+
+    def lost(self, epoch: int) -> list[str]:
+        """Keys of the samples that this rank lost in an epoch, unless a later one lost them again."""
+        lost_in = np.frombuffer(self._lost_in, np.int64)
+        return [self._keys[sample] for sample in np.flatnonzero(lost_in == epoch + 1)]
+
+    def _stand_in(self, order: Indices, epoch: int, spares: Iterator[int], lost: list[Lost]) -> RawSample:
+        for place in spares:
+            fetched = self._try(int(order[place]), epoch, lost)
+            if fetched is not None:
+                return fetched
+        raise OcnfError("no sample is left to stand in for a damaged one", code="too_many_bad",
+                        where="ShardDataset", found=lost[-1].error)
+
+    def _try(self, sample: int, epoch: int, lost: list[Lost]) -> RawSample | None:
+        try:
+            return self._fetcher.fetch(sample)
+        except OcnfError as error:
+            if self._on_error is OnError.RAISE or error.code in _NOT_DAMAGE:
+                raise
+            lost.append(Lost(self._keys[sample], error.code, str(error)))
+            self._count(sample, epoch, error)
+            return None
+
+    def _count(self, sample: int, epoch: int, error: OcnfError) -> None:
+        lost_in = np.frombuffer(self._lost_in, np.int64)
+        if lost_in[sample] != epoch + 1:
+            lost_in[sample] = epoch + 1
+            _log.warning("sample left out: %s", error)
+        count = int((lost_in == epoch + 1).sum())
+        if count > self._limit:
+            raise OcnfError("too many damaged samples in one epoch", code="too_many_bad",
+                            where="ShardDataset", field="max_bad_fraction",
+                            found=f"{count}, the last: {error}", expected=f"at most {self._limit}",
+                            fix="run `ocnf-data verify`, then `ocnf-data repair`") from error

@@ -1,0 +1,93 @@
+"""The loader's settings, checked: a bad one is named with what was found and what is allowed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import TypeVar
+
+from ocnf_data.errors import OcnfError
+
+Choice = TypeVar("Choice", bound=StrEnum)
+_LARGEST = 2**53
+
+
+class OnError(StrEnum):
+    """What becomes of a damaged sample."""
+
+    RAISE = "raise"
+    SKIP = "skip"
+
+
+def one_of(kind: type[Choice], field: str, value: object) -> Choice:
+    """The member of an enumeration that has this value."""
+    if isinstance(value, str) and value in list(kind):
+        return kind(value)
+    raise bad_setting("not one of the choices", field, value, ", ".join(kind))
+
+
+def whole(field: str, value: object, least: int) -> int:
+    """An integer from `least` on (a bool is none)."""
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= _LARGEST:
+        raise bad_setting("not a number of that kind", field, value, f"an integer, at least {least}")
+    return value
+
+
+def share(field: str, value: object) -> float:
+    """A number from 0 to 1."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+        raise bad_setting("not a share", field, value, "0 to 1")
+    return float(value)
+
+
+def names(field: str, value: object) -> tuple[str, ...]:
+    """One or more texts, each once; a single one may stand alone."""
+    if isinstance(value, str | os.PathLike):
+        value = [value]
+    listed = list(value) if isinstance(value, Sequence) else []
+    texts = tuple(str(os.fspath(item)) for item in listed if isinstance(item, str | os.PathLike))
+    if not texts or len(texts) != len(listed) or len(set(texts)) != len(texts):
+        raise bad_setting("not a list of names", field, value, "one or more, each once")
+    return texts
+
+
+def sides(value: object) -> tuple[int, ...]:
+    """The resolutions: one or more, each once, multiples of 8; a single one may stand alone."""
+    listed = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    checked = tuple(whole("resolutions", side, 8) for side in listed)
+    if not checked or len(set(checked)) != len(checked) or any(side % 8 for side in checked):
+        raise bad_setting("not resolutions", "resolutions", value, "one or more multiples of 8, each once")
+    return checked
+
+
+def place_among_ranks(rank: int | None, world_size: int | None,
+                      running: tuple[int, int] | None) -> tuple[int, int]:
+    """(rank, world size) of this process.
+
+    Args:
+        rank: as given by the user, with the world size, or None.
+        world_size: see rank.
+        running: those of torch.distributed, where it is initialised.
+    """
+    if (rank is None) != (world_size is None):
+        field = "rank" if rank is None else "world_size"
+        raise bad_setting("rank and world_size go together", field, None, "both, or neither")
+    if rank is not None and world_size is not None:
+        return rank, world_size
+    if running is not None:
+        return running
+    return _from_environment("RANK", 0), _from_environment("WORLD_SIZE", 1)
+
+
+def _from_environment(name: str, default: int) -> int:
+    text = os.environ.get(name, "").strip() or str(default)
+    if not (text.isascii() and text.isdigit()):
+        raise OcnfError("not a number", where="the environment", field=name, found=text,
+                        expected="an integer")
+    return int(text)
+
+
+def bad_setting(what: str, field: str, found: object, expected: object) -> OcnfError:
+    """An error about an argument of ShardDataset."""
+    return OcnfError(what, where="ShardDataset", field=field, found=repr(found), expected=expected)
