@@ -107,9 +107,14 @@ def normalise(mesh: Mesh, extent: float = 3.0, padding: float = 0.05) -> tuple[F
     Raises:
         OcnfError: `degenerate` for a mesh without extent.
     """
-    low, high = bounding_box(mesh.vertices, mesh.faces, "mesh")
-    normalisation = Normalisation(low + (high - low) / 2, extent * (1 - padding) / float((high - low).max()))
+    normalisation = fit_cube(mesh.vertices, mesh.faces, extent, padding)
     return normalisation.apply(mesh.vertices), normalisation
+
+
+def fit_cube(vertices: F64, faces: I64, extent: float = 3.0, padding: float = 0.05) -> Normalisation:
+    """The normalisation of `normalise`, for bare arrays."""
+    low, high = bounding_box(vertices, faces, "mesh")
+    return Normalisation(low + (high - low) / 2, extent * (1 - padding) / float((high - low).max()))
 
 
 def bounding_box(vertices: F64, faces: I64, where: str) -> tuple[F64, F64]:

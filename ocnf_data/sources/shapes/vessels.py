@@ -145,5 +145,6 @@ def bottle(draw: Draw) -> list[Part]:
         v = np.linspace(0.2, 0.8, 6)[:, None] * shoulder
         t = np.linspace(-2, 2, 24)[None]
         near = np.interp(v, u, outer) * 1.012 + 0.0004
-        parts.append(sheet(np.stack(np.broadcast_arrays(near * np.sin(t), -near * np.cos(t), v * h), axis=-1)))
+        label = np.broadcast_arrays(near * np.sin(t), -near * np.cos(t), v * h)
+        parts.append(sheet(np.stack(label, axis=-1)))
     return parts
