@@ -64,6 +64,9 @@ def generate(
              "RAY_ADDRESS names; without it, a local one of N workers.")] = Backend.LOKY,
     retry_failed: Annotated[bool, typer.Option(
         "--retry-failed", help="Make the shards again in which items failed.")] = False,
+    views: Annotated[str | None, typer.Option(
+        metavar="DIR", help="Rendered views to use instead of rendering: the folder `views` of a data set "
+                            "made with `views: keep`, from the same meshes and cameras.")] = None,
 ) -> None:
     """Make the data set of a manifest.
 
@@ -75,7 +78,7 @@ def generate(
     from ocnf_data.generation import generate as run
 
     try:
-        report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed)
+        report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     except Interrupted as stop:
         _err.print(f"[yellow]{stop}[/]", highlight=False)
         raise typer.Exit(130) from None

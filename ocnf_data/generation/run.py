@@ -39,6 +39,8 @@ from ocnf_data.shards.dataset import (
 )
 from ocnf_data.storage import Store
 
+VIEWS = "views"
+
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C, after everything was left resumable; the text says how far the run was."""
@@ -52,6 +54,7 @@ def generate(
     backend: str = "loky",
     *,
     retry_failed: bool = False,
+    views: str | os.PathLike[str] | None = None,
     progress: bool = True,
 ) -> Report:
     """Make the data set that a manifest defines; in a folder where that was begun, finish it.
@@ -68,6 +71,8 @@ def generate(
         backend: `loky` (this machine), `dask` or `ray`; the latter two join the cluster that the environment
             variable DASK_SCHEDULER_ADDRESS or RAY_ADDRESS names, and else start `jobs` local workers.
         retry_failed: make the shards with failures anew.
+        views: a folder of views that a run with `views: keep` left (its OUT/views): meshes that are there, as
+            this manifest's cameras see them, are not rendered again. What comes out is the same.
         progress: show how far the run is, on standard error.
 
     Raises:
@@ -78,7 +83,7 @@ def generate(
     if not isinstance(manifest, Manifest):
         manifest = load_manifest(manifest)
     store = Store(out)
-    _check_workers(store, jobs, backend)
+    _check_places(store, jobs, backend, keeps=manifest.views == "keep", views=views)
     root = manifest.meshes_root(meshes)
     console = Console(stderr=True, quiet=not progress)
     with exclusive(store):
@@ -91,7 +96,12 @@ def generate(
         if before is not None and any(shard.name not in done for shard in plan.shards) and retry_failed:
             store.remove(DATASET)  # its shards are about to change
             before = None
-        made = _make_missing(store, plan, manifest, root, jobs, backend, console, done)
+        setup = ChildSetup(plan.manifest, None if root is None else str(root),
+                           views=None if views is None else Store(views).url,
+                           keep_views=store.where(VIEWS) if manifest.views == "keep" else None,
+                           maker=supervisor.DEFAULT_MAKER)
+        limits = Limits(item_seconds=manifest.limits.timeout_s)
+        made = _make_missing(store, plan, setup, limits, jobs, backend, console, done)
         info, failures = _account(store, plan, manifest, done)
         if before is not None:
             _compare(before, info, store)
@@ -101,12 +111,20 @@ def generate(
                   manifest.limits.failure_threshold, tuple(warnings))
 
 
-def _check_workers(store: Store, jobs: int, backend: str) -> None:
+def _check_places(store: Store, jobs: int, backend: str, keeps: bool,
+                  views: str | os.PathLike[str] | None) -> None:
     if jobs < 1:
         raise OcnfError("not a number of jobs", field="jobs", found=jobs, expected="1 or more")
-    if not store.shared_between_processes and (jobs > 1 or backend != "loky"):
-        raise OcnfError("memory:// lives in one process: what workers write there is lost", where=store.url,
-                        field="jobs", found=f"{jobs} with {backend}", expected="1 with loky")
+    if not store.shared_between_processes:
+        if jobs > 1 or backend != "loky":
+            raise OcnfError("memory:// lives in one process: what workers write there is lost", field="jobs",
+                            where=store.url, found=f"{jobs} with {backend}", expected="1 with loky")
+        if keeps:
+            raise OcnfError("memory:// lives in one process: views kept there by another are lost",
+                            where=store.url, field="views", found="keep", expected="drop")
+    if views is not None and Store(views).root is not None and not Path(views).is_dir():
+        raise OcnfError("no folder of views", code="missing", where=views, field="views",
+                        fix="give the folder `views` of a data set made with `views: keep`")
 
 
 def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, ShardDone]:
@@ -115,13 +133,11 @@ def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, Shar
     return {one.shard.name: one for one in found if one is not None and not (retry_failed and one.failures)}
 
 
-def _make_missing(store: Store, plan: Plan, manifest: Manifest, root: Path | None, jobs: int, backend: str,
+def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: Limits, jobs: int, backend: str,
                   console: Console, done: dict[str, ShardDone]) -> int:
     """Make the shards that are not in `done` and add them; returns how many items they have."""
     left = [shard for shard in plan.shards if shard.name not in done]
     n_items = sum(len(shard.items) for shard in left)
-    setup = ChildSetup(plan.manifest, None if root is None else str(root), maker=supervisor.DEFAULT_MAKER)
-    limits = Limits(item_seconds=manifest.limits.timeout_s)
     try:
         with live_folder(store, shared=backend == "loky") as live:
             display = ProgressDisplay(n_items, live, console)

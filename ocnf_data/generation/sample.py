@@ -30,16 +30,19 @@ from ocnf_data.shards.record import canonical_json
 from ocnf_data.shards.tarformat import JSON, input_member, target_member
 from ocnf_data.sources import Mesh, Normalisation, normalise, read_mesh
 from ocnf_data.sources.shapes import make_shape
+from ocnf_data.viewstore import KeptViews, ViewStore, view_fingerprint
 
 F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
 
 
 def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
     """What a child process calls for each item; `setup` is a `ChildSetup` as plain values."""
     manifest = Manifest.from_dict(setup["manifest"])
+    known, keep = (None if url is None else ViewStore(url) for url in (setup["views"], setup["keep_views"]))
 
     def make(item: Item, stages: Stages) -> Sample:
-        return make_sample(manifest, item, setup["meshes"], stages=stages)
+        return make_sample(manifest, item, setup["meshes"], known=known, keep=keep, stages=stages)
 
     return make
 
@@ -49,6 +52,8 @@ def make_sample(
     item: Item,
     meshes: str | os.PathLike[str] | None = None,
     *,
+    known: ViewStore | None = None,
+    keep: ViewStore | None = None,
     stages: Stages | None = None,
 ) -> Sample:
     """The sample of an item.
@@ -57,6 +62,9 @@ def make_sample(
         manifest: what to make.
         item: out of what.
         meshes: the folder that `item.source` is relative to; None for procedural shapes.
+        known: where the mesh's views, as this manifest's cameras see it, may lie ready; else they are
+            rendered. Which of the two happens does not show in the sample.
+        keep: where to keep them for other runs.
         stages: told of each stage and its time.
 
     Raises:
@@ -65,11 +73,10 @@ def make_sample(
     """
     stages = Stages() if stages is None else stages
     with stages("read"):
-        mesh = _read(manifest, item, meshes)
+        mesh = read_item(manifest, item, meshes)
     with stages("normalise"):
         vertices, normalisation = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
-    with stages("render"):
-        views = _render(manifest, vertices, mesh)
+    views = _see(manifest, item, mesh, vertices, normalisation, known, keep, stages)
     hit = np.isfinite(views.depth)
     if not hit.any():
         raise OcnfError("no camera sees any of the mesh", code="invisible", where=item.source)
@@ -90,10 +97,10 @@ def make_sample(
             if manifest.target is Target.OCCUPANCY:
                 truth = occupied(truth)
         add(target_member(resolution), truth, "target")
-    noise = _Noise(manifest.seed, item.key, views.size)
+    noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
         with stages("noise"):
-            seen = _observe(manifest, views, variant, noise)
+            seen = observe(manifest, views, variant, noise)
         with stages("pyramid"):
             pyramid = DepthPyramid(seen)
         for encoding in variant.encodings:
@@ -106,7 +113,8 @@ def make_sample(
     return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
 
 
-def _read(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | None) -> Mesh:
+def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | None) -> Mesh:
+    """The mesh of an item, read or made; OcnfError where the file is not the one that was planned with."""
     if item.index is not None:
         return make_shape(item.category, manifest.seed, item.index, item.split)
     if meshes is None:
@@ -118,14 +126,46 @@ def _read(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | None)
     return mesh
 
 
-def _render(manifest: Manifest, vertices: npt.NDArray[np.float64], mesh: Mesh) -> Views:
+def _see(manifest: Manifest, item: Item, mesh: Mesh, vertices: F64, normalisation: Normalisation,
+         known: ViewStore | None, keep: ViewStore | None, stages: Stages) -> Views:
+    """The views from where they lie ready, or rendered; kept where asked to."""
+    fingerprint = view_fingerprint(manifest)
+    for store in (keep, known):
+        if store is not None:
+            with stages("load views"):
+                views = _find(store, item.key, mesh.sha256, fingerprint)
+            if views is not None:
+                break
+    else:
+        store = None
+        with stages("render"):
+            views = render_item(manifest, vertices, mesh)
+    if keep is not None and store is not keep:
+        with stages("keep views"):
+            keep.keep(item.key, KeptViews(views, mesh.sha256, fingerprint, normalisation,
+                                          manifest.normalise.extent))
+    return views
+
+
+def _find(store: ViewStore, key: str, mesh_sha256: str, fingerprint: str) -> Views | None:
+    """Kept views; a damaged file is as good as none, because rendering gives the same."""
+    try:
+        return store.find(key, mesh_sha256, fingerprint)
+    except OcnfError as error:
+        if error.code != "damaged":
+            raise
+        return None
+
+
+def render_item(manifest: Manifest, vertices: F64, mesh: Mesh) -> Views:
+    """All views of the rig, without noise, of normalised vertices."""
     camera = manifest.camera
     R, T = look_from(rig_from_name(camera.rig), camera.distance)
     depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
     return Views(depth, camera.K, R, T)
 
 
-def _observe(manifest: Manifest, views: Views, variant: Variant, noise: _Noise) -> Views:
+def observe(manifest: Manifest, views: Views, variant: Variant, noise: Noise) -> Views:
     """The noisy views that an input is made of."""
     indices = manifest.view_indices(variant)
     seen = views.subset(indices)
@@ -135,7 +175,7 @@ def _observe(manifest: Manifest, views: Views, variant: Variant, noise: _Noise) 
                                      for view, depth in zip(indices, seen.depth, strict=True)]))
 
 
-class _Noise:
+class Noise:
     """Noise of each view of one item, drawn once for all variants."""
 
     def __init__(self, seed: int, key: str, size: tuple[int, int]) -> None:

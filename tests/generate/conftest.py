@@ -68,7 +68,8 @@ def define() -> Define:
         return Manifest.from_dict({
             "name": "tiny",
             "source": {"kind": "modelnet", "categories": ["chair"], "counts": {"train": "all"}},
-            "camera": {"rig": "fibonacci8", "width": 48, "height": 40, "fx": 28, "fy": 28, "cx": 24, "cy": 20},
+            "camera": {"rig": "fibonacci8", "width": 48, "height": 40, "fx": 28, "fy": 27, "cx": 24,
+                       "cy": 20},
             "resolutions": [64],
             "inputs": [{"name": "v2", "views": 2, "sigma": 0.02, "encodings": ["tsdf"]}],
             "shards": {"samples": 4},
