@@ -62,7 +62,8 @@ class Views:
         if not (depth >= 0).all():  # also catches NaN
             raise OcnfError("depth is negative or NaN", where="Views", field="depth",
                             expected="metres > 0, inf for a free ray, 0 for no measurement")
-        for name, array in (("depth", depth), ("K", K), ("R", R), ("T", T)):
+        object.__setattr__(self, "depth", depth)
+        for name, array in (("K", K), ("R", R), ("T", T)):
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:

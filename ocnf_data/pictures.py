@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,14 @@ F32 = npt.NDArray[np.float32]
 
 AXES = "zyx"
 _NO_MEASUREMENT = (0.85, 0.25, 0.25, 1.0)
+# Inside or unseen, surface, free: light enough at both ends for the outlines of leaves to show.
+_DISTANCE_COLOURS = ["#b5483a", "#e0907f", "#ffffff", "#b9d6ec", "#8db9dd"]
 
 
-def as_distance(data: F32, encoding: Encoding | None) -> F32:
+def as_distance(data: F32, encoding: Encoding) -> F32:
     """One signed number a leaf in [-1, 1], for display, from leaf data (n_leaves, C) of any encoding.
 
-    The histogram gives its mean over the bins, occupancy +1 for free and -1 for occupied; None is a TSDF.
+    The histogram gives its mean over the bins, occupancy +1 for free and -1 for occupied.
     """
     if encoding is Encoding.HISTOGRAM:
         centres = np.linspace(-1.125, 1.125, data.shape[1], dtype=np.float32)
@@ -65,28 +67,58 @@ def paint_squares(squares: npt.NDArray[np.int32], value: F32, size: tuple[int, i
     return image
 
 
+class Window(NamedTuple):
+    """A square part of a plane, in voxels."""
+
+    row: float
+    column: float
+    side: int
+
+
+def busiest_window(octree: GridOctree, axis: int, index: int, side: int) -> Window:
+    """A window of `side` voxels in the middle of a plane's width-1 leaves, inside the plane."""
+    squares = slice_cells(octree, axis, index)[1]
+    size = np.array([n for a, n in enumerate(octree.shape) if a != axis])
+    fine = squares[squares[:, 2] == 1, :2]
+    middle = np.median(fine, axis=0) if len(fine) else size / 2
+    row, column = np.clip(middle - side / 2, 0, np.maximum(size - side, 0))
+    return Window(float(row), float(column), side)
+
+
 def draw_slice(
     ax: Axes,
     octree: GridOctree,
     axis: int,
     index: int,
-    encoding: Encoding | None = None,
-    cells: bool = True,
+    encoding: Encoding = Encoding.TSDF,
+    window: Window | None = None,
 ) -> None:
-    """Draw one plane of an octree: blue free, red inside or unseen, and the outlines of its leaves."""
+    """Draw one plane of an octree, with the outlines of its leaves: blue free, red inside or unseen.
+
+    Args:
+        ax: where to draw.
+        octree: of any encoding.
+        axis: 0, 1 or 2 for a plane across z, y or x.
+        index: which plane of voxels.
+        encoding: of the values.
+        window: draw only this part.
+    """
     from matplotlib.collections import LineCollection
+    from matplotlib.colors import LinearSegmentedColormap
 
     rows, squares = slice_cells(octree, axis, index)
     value = as_distance(octree.data[rows], encoding)
     height, breadth = (n for a, n in enumerate(octree.shape) if a != axis)
     image = paint_squares(squares, value, (height, breadth))
-    ax.imshow(image, origin="lower", cmap="RdBu", vmin=-1, vmax=1, extent=(0, breadth, 0, height),
+    colours = LinearSegmentedColormap.from_list("distance", _DISTANCE_COLOURS)
+    ax.imshow(image, origin="lower", cmap=colours, vmin=-1, vmax=1, extent=(0, breadth, 0, height),
               interpolation="nearest")
-    if cells:
-        r, c, w = squares.T
-        corners = np.stack([np.stack([c, r + w], 1), np.stack([c, r], 1), np.stack([c + w, r], 1)], 1)
-        thin = min(0.5, 24 / height)
-        ax.add_collection(LineCollection(list(corners), colors=(0, 0, 0, 0.55), linewidths=thin))
+    r, c, w = squares.T
+    corners = np.stack([np.stack([c, r + w], 1), np.stack([c, r], 1), np.stack([c + w, r], 1)], 1)
+    ax.add_collection(LineCollection(list(corners), colors=(0.15, 0.15, 0.2, 0.6), linewidths=0.35))
+    if window is not None:
+        ax.set_ylim(window.row, window.row + window.side)
+        ax.set_xlim(window.column, window.column + window.side)
     left, up = (name for name in AXES if name != AXES[axis])
     ax.set_xlabel(up, labelpad=1)
     ax.set_ylabel(left, labelpad=1)

@@ -5,7 +5,7 @@ import pytest
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
-from ocnf_data.pictures import as_distance, busiest_plane, paint_squares, slice_cells
+from ocnf_data.pictures import as_distance, busiest_plane, busiest_window, paint_squares, slice_cells
 from ocnf_data.render.shade import shade
 
 
@@ -44,6 +44,13 @@ def test_busiest_plane_cuts_the_surface():
     assert fine[busiest_plane(octree, 0)].sum() == fine.sum(axis=(1, 2)).max()
     constant = GridOctree.from_dense(np.ones((1, 8, 8, 8), np.float32))
     assert busiest_plane(constant, 2) == 4
+
+
+def test_busiest_window_holds_the_surface_and_stays_inside():
+    octree = GridOctree.from_dense(ball((24, 24, 24), radius=4))
+    window = busiest_window(octree, 1, 12, side=16)
+    assert (window.row, window.column) == (3.5, 3.5)  # the median of voxels 0..23, less half of 16
+    assert busiest_window(octree, 1, 12, side=64)[:2] == (0, 0)
 
 
 def triangulated_sphere(n=48):

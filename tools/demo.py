@@ -1,0 +1,85 @@
+"""From nothing to a verified data set with pictures: what `make demo` runs.
+
+python tools/demo.py --out demo-out                  procedural shapes
+python tools/demo.py --out demo-out --meshes DIR     24 of the meshes in a folder of your own
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from shard_stats import collect, draw, print_table
+from show_sample import draw_sample, pick
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.generation import generate
+from ocnf_data.manifest import Manifest, load_manifest
+from ocnf_data.shards.info import describe, print_info
+from ocnf_data.shards.report import print_verify
+from ocnf_data.shards.verify import verify
+
+MANIFESTS = Path(__file__).parent.parent / "manifests"
+MOST_MESHES = 24
+
+
+def demo_manifest(meshes: Path | None) -> Manifest:
+    """The shipped demo, or the first meshes of a folder made the same way."""
+    if meshes is None:
+        return load_manifest(MANIFESTS / "demo.yaml")
+    settings = load_manifest(MANIFESTS / "meshes.yaml").to_dict()
+    settings["source"]["at_most"] = MOST_MESHES
+    settings["shards"]["samples"] = 4
+    return Manifest.from_dict(settings)
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for the data set and its pictures.")] = Path("demo-out"),
+    meshes: Annotated[Path | None, typer.Option(help="Your own folder of meshes.")] = None,
+    jobs: Annotated[int, typer.Option(help="Worker processes.")] = 2,
+    up: Annotated[str, typer.Option(help="Which axis of the meshes points up: y or z.")] = "z",
+) -> None:
+    """Generate the demo data set, verify it, and draw pictures."""
+    console = Console()
+    begin = time.perf_counter()
+
+    def step(title: str) -> None:
+        console.print(f"\n[bold]{title}[/]")
+
+    try:
+        manifest = demo_manifest(meshes)
+        data = out / manifest.name
+        step(f"1. Generate: ocnf-data generate manifests/{manifest.name}.yaml --out {data} --jobs {jobs}")
+        report = generate(manifest, data, meshes, jobs)
+        console.print(report.table())
+        if not report.samples:
+            raise OcnfError("no sample came out", where=data, fix="read failures.jsonl there")
+        step(f"2. Verify every byte: ocnf-data verify {data}")
+        status = print_verify(verify(str(data)), console)
+        if status:
+            raise typer.Exit(status)
+        step(f"3. What is in it: ocnf-data info {data}")
+        print_info(describe(str(data)), console)
+        step("4. Statistics by category: python tools/shard_stats.py")
+        columns = collect(str(data), None, 1)
+        print_table(columns)
+        draw(columns, out / "pictures" / "statistics.png")
+        step("5. Pictures: python tools/show_sample.py")
+        for sample in [*pick(str(data), [], 0, 0), *pick(str(data), [], 3, seed=1)]:
+            path = out / "pictures" / f"{sample.key}.png"
+            if not path.exists():
+                draw_sample(sample, manifest, path, meshes, up=up)
+                console.print(f"   {path}")
+    except OcnfError as error:
+        Console(stderr=True).print(f"[red]error:[/] {error}")
+        raise typer.Exit(1) from None
+    console.print(f"\n[green]Done in {time.perf_counter() - begin:.0f} s.[/] Look at {out / 'pictures'}; "
+                  f"check the physics with: python tools/check_shards.py {data}"
+                  + (f" --meshes {meshes}" if meshes else ""))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,139 @@
+"""Leaf counts, band fractions and depth coverage of a data set by category: a table, and a plot.
+
+    python tools/shard_stats.py demo-out
+    python tools/shard_stats.py OUT --split train --plot stats.png --band-samples 0
+
+*truth* and the inputs: the number of leaves as a share of the voxels; *band* the share of the volume with
+|TSDF| < tau (which means decoding the ground truth, so by default only of a few samples a category);
+*coverage* the share of the pixels of all views that hit the mesh.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.manifest import Manifest
+from ocnf_data.octree import GridOctree
+from ocnf_data.shards.browse import stored_samples
+from ocnf_data.shards.dataset import load_dataset
+from ocnf_data.shards.tarformat import input_member, target_member
+
+ALL = "all"
+
+
+def band_fraction(octree: GridOctree) -> float:
+    """Share of the volume with |value| < 1."""
+    volume = octree.leaf_sizes().astype(np.float64) ** 3
+    return float(volume[np.abs(octree.data[:, 0]) < 1].sum() / volume.sum())
+
+
+def collect(url: str, split: str | None, band_samples: int) -> dict[str, dict[str, list[float]]]:
+    """Values by column and category; `all` is every category together."""
+    info = load_dataset(url)
+    manifest = Manifest.from_dict(info.manifest)
+    members: list[tuple[str, Callable[[int], str]]] = [("truth", target_member)]
+    members += [(f"{variant.name} {encoding}", partial(input_member, variant.name, encoding))
+                for variant in manifest.inputs for encoding in variant.encodings]
+    columns: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+
+    def add(column: str, category: str, value: float) -> None:
+        columns[column][category].append(value)
+        columns[column][ALL].append(value)
+
+    console = Console(stderr=True)
+    for sample in track(list(stored_samples(url, info)), "reading", console=console, transient=True):
+        if split not in (None, sample.split):
+            continue
+        category = sample.entry.category
+        add("coverage", category, sample.facts["coverage"])
+        for label, name_of in members:
+            for res in manifest.resolutions:
+                leaves = sample.entry.leaf_counts[name_of(res)]
+                add(f"{label} {res}³", category, leaves / res**3)
+        finest = manifest.resolutions[-1]
+        column = f"band {finest}³"
+        if manifest.target == "tsdf" and len(columns[column][category]) < (band_samples or np.inf):
+            add(column, category, band_fraction(sample.octree(target_member(finest))))
+    if not columns:
+        raise OcnfError("no samples", code="empty", where=url, field="split", found=split)
+    return columns
+
+
+def print_table(columns: dict[str, dict[str, list[float]]]) -> None:
+    """One row a category, the means in percent; what differs in resolution alone shares a cell."""
+    grouped: dict[str, list[str]] = defaultdict(list)
+    for name in columns:
+        grouped[name.rpartition(" ")[0] or name].append(name)
+    table = Table("category", "n", title="means, % of the voxels (coverage: of the pixels)")
+    for label, names in grouped.items():
+        resolutions = " / ".join(name.removeprefix(label).strip() for name in names)
+        table.add_column(f"{label}\n{resolutions}", justify="right", no_wrap=True)
+    categories = [*sorted(set(columns["coverage"]) - {ALL}), ALL]
+    for category in categories:
+        cells = (" / ".join(_percent(columns[name][category]) for name in names)
+                 for names in grouped.values())
+        n_samples = str(len(columns["coverage"][category]))
+        table.add_row(category, n_samples, *cells, end_section=category == categories[-2])
+    Console().print(table)
+
+
+def _percent(values: list[float]) -> str:
+    return f"{100 * np.mean(values):.2f}" if values else "-"
+
+
+def draw(columns: dict[str, dict[str, list[float]]], path: Path) -> None:
+    """A box plot a column, by category."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    categories = sorted(set(columns["coverage"]) - {ALL})
+    across = min(3, len(columns))
+    down = -(-len(columns) // across)
+    size = (5.2 * across, 0.9 + down * (1 + 0.28 * len(categories)))
+    figure, axes = plt.subplots(down, across, figsize=size, squeeze=False, constrained_layout=True)
+    for ax, (name, values) in zip(axes.flat, columns.items(), strict=False):
+        ax.boxplot([100 * np.array(values[c]) for c in categories], orientation="horizontal",
+                   tick_labels=categories, widths=0.6, medianprops={"color": "#1f6fb2"})
+        ax.set_title(f"{name}, %", fontsize=10)
+        ax.set_xlim(left=0)
+        ax.invert_yaxis()
+        ax.grid(axis="x", alpha=0.3)
+    for ax in axes.flat[len(columns):]:
+        ax.set_axis_off()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def main(
+    data: Annotated[str, typer.Argument(help="The data set: a folder or URL.")],
+    split: Annotated[str | None, typer.Option(help="Only this split.")] = None,
+    plot: Annotated[Path, typer.Option(help="Where the plot goes.")] = Path("pictures/stats.png"),
+    band_samples: Annotated[int, typer.Option(help="Decode so many a category for the band; 0: all.")] = 3,
+) -> None:
+    """Statistics of a data set by category."""
+    try:
+        columns = collect(data, split, band_samples)
+    except OcnfError as error:
+        typer.secho(f"error: {error}", fg="red", err=True)
+        raise typer.Exit(1) from None
+    print_table(columns)
+    draw(columns, plot)
+    typer.echo(plot)
+
+
+if __name__ == "__main__":
+    typer.run(main)
