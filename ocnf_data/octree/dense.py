@@ -1,8 +1,9 @@
-"""Compiled passes between dense volumes and grids of trees, parallel over the trees.
+"""Compiled passes between dense volumes and grids of trees.
 
 Dense volumes are (C, D, H, W) float32 in C order; trees are (T, 2) uint64, the grid's (GD, GH, GW) flattened;
-`prefix` is `leaf_prefix(trees)`. Every tree writes to its own place, so results do not depend on the number
-of threads.
+`prefix` is `leaf_prefix(trees)`. What reads or writes voxels is parallel over the trees, each of which writes to
+its own place, so results do not depend on the number of threads. What only looks at trees and leaves is not
+parallel: a loader's forked workers may call it, and OpenMP does not survive a fork.
 """
 
 from __future__ import annotations
@@ -129,16 +130,16 @@ def paint(trees: TreeArray, prefix: Prefix, data: npt.NDArray, volume: npt.NDArr
                             volume[c, z, y, x] = value
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def locate_leaves(
     trees: TreeArray, prefix: Prefix, gh: int, gw: int
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
     """Lowest voxel (z, y, x) of each leaf, (n_leaves, 3) int32, and its width, (n_leaves,) uint8."""
     corners = np.empty((prefix[-1], 3), np.int32)
     widths = np.empty(prefix[-1], np.uint8)
-    for t in prange(len(trees)):
+    cells = np.empty((MAX_LEAVES, 4), np.int16)
+    for t in range(len(trees)):
         z0, y0, x0 = tree_origin(t, gh, gw)
-        cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         for leaf in range(n):
             row = prefix[t] + leaf
