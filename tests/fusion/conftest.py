@@ -132,8 +132,8 @@ def scenes() -> dict[str, Views]:
             t = (offset - o @ normal) / (d @ normal)
         return np.where(t > 0, t, np.inf)
 
-    K = np.array([[151.0, 0, 83.3], [0, 173.0, 51.9], [0, 0, 1]])
+    K = np.array([[151.0, 0, 113.3], [0, 173.0, 80.9], [0, 0, 1]])
     R, T = orbit(12, 3.2)
-    size = (110, 161)
+    size = (170, 220)
     return {"sphere": cast(sphere, K, R, T, size), "box": cast(box, K, R, T, size),
             "plane": cast(plane, K, R, T, size)}
