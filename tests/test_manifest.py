@@ -413,6 +413,8 @@ def test_adding_files_to_a_folder_moves_no_other(tmp_path: Path) -> None:
     assert {e.path: e.split for e in m.source.entries(tmp_path, 1)} != {e.path: e.split for e in after}
     few = Manifest.from_dict(example(source={**FOLDER, "at_most": 10})).source.entries(tmp_path, m.seed)
     assert len(few) == 10 and set(few) < set(after)
+    half = Manifest.from_dict(example(source={**FOLDER, "at_most": 60})).source.entries(tmp_path, m.seed)
+    assert {e.split for e in half} == set(SPLITS), "what is taken says nothing about where it goes"
 
 
 def test_a_list_gives_what_it_lists() -> None:

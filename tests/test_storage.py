@@ -238,12 +238,15 @@ def _write(store: Store) -> None:
 
 def test_a_worker_process_writes_to_s3(s3_url: str) -> None:
     store = Store(s3_url)
-    assert store.list() == []  # fills whatever listing cache there is
+    store.put_bytes("from/driver", b"driver")
+    assert store.list("from") == store.list() == ["from/driver"]  # fills whatever cache of listings there is
+    assert not store.exists("from/worker")
     worker = multiprocessing.get_context("spawn").Process(target=_write, args=(store,))
     worker.start()
     worker.join(60)
     assert worker.exitcode == 0
-    assert store.list() == ["from/worker"]
+    assert store.exists("from/worker") and store.size("from/worker") == 6
+    assert store.list("from") == store.list() == ["from/driver", "from/worker"]
     assert store.read_bytes("from/worker") == b"worker"
 
 
