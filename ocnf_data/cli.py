@@ -100,7 +100,7 @@ def verify(folder: Folder, jobs: Jobs) -> None:
     from ocnf_data.shards.report import print_verify
     from ocnf_data.shards.verify import verify as check
 
-    with _bar("verifying") as progress:
+    with _Bar("verifying") as progress:
         report = check(folder, jobs, progress)
     raise typer.Exit(print_verify(report, _out))
 
@@ -125,7 +125,7 @@ def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.shards.repair import find_damaged, quarantine, restore_index
 
     definition = load_dataset(folder).manifest
-    with _bar("verifying") as progress:
+    with _Bar("verifying") as progress:
         damaged = find_damaged(folder, jobs, progress)
     for shard in damaged:
         _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
@@ -140,8 +140,33 @@ def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     _out.print(run(Manifest.from_dict(definition), folder, meshes, jobs).table())
 
 
-def _bar(what: str) -> _Bar:
-    return _Bar(what)
+@app.command()
+def doctor() -> None:
+    """Say what works on this machine, try each renderer on a known shape, and tell how to mend the rest."""
+    from ocnf_data.doctor import run_doctor
+
+    raise typer.Exit(run_doctor(_out))
+
+
+@app.command()
+def watertight(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="A file with the format as suffix, or a folder.")],
+    jobs: Jobs,
+    resolution: Annotated[int, typer.Option(min=8, max=1024, help="Voxels along the cube.")] = 256,
+    level: Annotated[float, typer.Option(
+        help="Where to cut, in truncations; 0.2 to 0.5 keeps sheets and wires by thickening all.")] = 0.0,
+    suffix: Annotated[str, typer.Option(help="Format in a folder: .ply, .obj, .off or .stl.")] = ".ply",
+) -> None:
+    """Make meshes watertight: an 80-view TSDF, cut by marching cubes, in the mesh's own coordinates."""
+    from ocnf_data.watertight import watertight_path
+
+    with _Bar("watertight") as progress:
+        report = watertight_path(source, out, resolution, jobs, level, suffix, progress)
+    for path, error in report.failures:
+        _err.print(f"[red]{_escaped(str(path))}:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
+    _out.print(f"{len(report.written)} written, {len(report.failures)} failed", highlight=False)
+    raise typer.Exit(1 if report.failures else 0)
 
 
 class _Bar:

@@ -42,8 +42,8 @@ def test_members_are_what_the_definitions_give(meshes, define) -> None:
                                        for view, depth in zip([0, 3, 7], noisy.depth, strict=True)]))
     for res in (64, 72):
         tau = 32 / 15 * 3 / res
-        for name, octree, kind in ((f"target-{res}.oct", fuse_tsdf(views, res, 3.0, tau), "target"),
-                                   (f"v3-histogram-{res}.oct", fuse_histogram(noisy, res, 3.0, tau), "histogram")):
+        for name, octree in ((f"target-{res}.oct", fuse_tsdf(views, res, 3.0, tau)),
+                             (f"v3-histogram-{res}.oct", fuse_histogram(noisy, res, 3.0, tau))):
             stored = decode(sample.members[name])
             assert stored.structure_equal(octree)
             np.testing.assert_allclose(stored.data, octree.data, atol=1 / 255)

@@ -1,0 +1,150 @@
+"""`ocnf-data` as a user meets it: commands, exit statuses, sentences."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from ocnf_data.cli import main
+from ocnf_data.errors import OcnfError
+
+MANIFEST = {
+    "name": "tiny",
+    "source": {"kind": "shapes", "categories": ["chair", "mug"], "counts": {"train": 5, "test": 1}},
+    "camera": {"rig": "icosphere0", "width": 48, "height": 40, "fx": 28, "fy": 28, "cx": 24, "cy": 20},
+    "resolutions": [64],
+    "inputs": [{"name": "v2", "views": 2, "sigma": 0.02, "encodings": ["tsdf"]}],
+    "shards": {"samples": 2},
+}
+
+
+class Result(NamedTuple):
+    """What a command came to."""
+
+    status: int
+    out: str
+    err: str
+
+
+def ocnf(*arguments: object) -> Result:
+    """Run `ocnf-data` in this process, which has numba loaded, with a terminal that wraps no sentence."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", ["ocnf-data", *map(str, arguments)])
+        patch.setenv("COLUMNS", "200")
+        with pytest.raises(SystemExit) as ended:
+            main()
+    return Result(ended.value.code or 0, out.getvalue(), err.getvalue())  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """(manifest, data set), made by the command."""
+    folder = tmp_path_factory.mktemp("cli")
+    manifest = folder / "tiny.yaml"
+    manifest.write_text(json.dumps(MANIFEST))
+    result = ocnf("generate", manifest, "--out", folder / "set", "--jobs", 2)
+    assert result.status == 0, result.err
+    assert "items a minute" in result.out
+    return manifest, folder / "set"
+
+
+def test_help_names_every_command() -> None:
+    """As a process of its own: this is how it is called, and it must not need what only commands need."""
+    command = [sys.executable, "-m", "ocnf_data", "--help"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    for name in ("generate", "verify", "info", "repair", "doctor", "watertight"):
+        assert name in result.stdout
+    assert "--retry-failed" in ocnf("generate", "--help").out
+
+
+def test_generating_again_resumes(made) -> None:
+    manifest, out = made
+    before = (out / "dataset.json").stat().st_size
+    result = ocnf("generate", manifest, "--out", out, "--jobs", 1)
+    assert result.status == 0
+    assert (out / "dataset.json").stat().st_size == before
+    assert re.search(r"made in this run\D* 0 ", result.out)
+
+
+def test_verify_info_and_repair(made) -> None:
+    _, out = made
+    assert ocnf("verify", out, "--jobs", 1).status == 0
+    text = ocnf("info", out).out
+    assert "6 inputs = 6 samples" in text
+    assert "v2-tsdf-64.oct" in text
+    shard = out / "train/shard-000001.tar"
+    whole = shard.read_bytes()
+    damaged = bytearray(whole)
+    damaged[5000] ^= 1
+    shard.write_bytes(damaged)
+    result = ocnf("verify", out, "--jobs", 1)
+    assert result.status == 1
+    assert "train/shard-000001.tar" in result.out
+    result = ocnf("repair", out, "--jobs", 1)
+    assert result.status == 0, result.err
+    assert shard.read_bytes() == whole
+    assert (out / "quarantine/train/shard-000001.tar").read_bytes() == damaged
+    (out / "train/shard-000000.json").unlink()
+    assert "index was written anew" in ocnf("repair", out, "--jobs", 1).out
+    assert ocnf("verify", out, "--jobs", 1).status == 0
+    assert "no shard is damaged" in ocnf("repair", out, "--jobs", 1).out
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"sed": 1}, ("tiny.yaml", "sed")),
+    ({"resolutions": [100]}, ("resolutions[0]", "100", "multiple of 8")),
+    ({"source": {"kind": "modelnet", "categories": ["chair"], "counts": {"train": 1}}}, ("--meshes ROOT",)),
+])
+def test_a_users_error_is_a_sentence(tmp_path, change, words) -> None:
+    manifest = tmp_path / "tiny.yaml"
+    manifest.write_text(json.dumps({**MANIFEST, **change}))
+    result = ocnf("generate", manifest, "--out", tmp_path / "set")
+    assert result.status == 1
+    assert "Traceback" not in result.err
+    assert result.err.startswith("error:")
+    for word in words:
+        assert word in result.err
+    with pytest.raises(OcnfError):
+        ocnf("--debug", "generate", manifest, "--out", tmp_path / "set")
+
+
+def test_a_changed_manifest_is_refused(made, tmp_path) -> None:
+    _, out = made
+    manifest = tmp_path / "tiny.yaml"
+    manifest.write_text(json.dumps({**MANIFEST, "seed": 7}))
+    result = ocnf("generate", manifest, "--out", out)
+    assert result.status == 1
+    assert "seed" in result.err
+    assert "found 7, expected 0" in result.err
+
+
+def test_too_many_failures_are_an_exit_status(tmp_path) -> None:
+    meshes = tmp_path / "meshes/chair/train"
+    meshes.mkdir(parents=True)
+    (meshes / "a.off").write_text("OFF\n")
+    manifest = tmp_path / "tiny.yaml"
+    source = {"kind": "modelnet", "categories": ["chair"], "counts": {"train": "all"}}
+    manifest.write_text(json.dumps({**MANIFEST, "source": source}))
+    result = ocnf("generate", manifest, "--out", tmp_path / "set", "--meshes", tmp_path / "meshes")
+    assert result.status == 1
+    assert "100.0% of the items failed" in result.err
+    assert len((tmp_path / "set/failures.jsonl").read_text().splitlines()) == 1
+
+
+def test_watertight(tmp_path) -> None:
+    """A tetrahedron without one of its faces."""
+    source, out = tmp_path / "open.off", tmp_path / "closed.ply"
+    source.write_text("OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n")
+    result = ocnf("watertight", source, out, "--resolution", 64, "--jobs", 1)
+    assert result.status == 0, result.err
+    assert out.stat().st_size > 1000
+    assert ocnf("watertight", tmp_path / "nothing.off", out).status == 1
