@@ -1,9 +1,9 @@
 """Compiled passes between dense volumes and grids of trees.
 
 Dense volumes are (C, D, H, W) float32 in C order; trees are (T, 2) uint64, the grid's (GD, GH, GW) flattened;
-`prefix` is `leaf_prefix(trees)`. What reads or writes voxels is parallel over the trees, each of which writes to
-its own place, so results do not depend on the number of threads. What only looks at trees and leaves is not
-parallel: a loader's forked workers may call it, and OpenMP does not survive a fork.
+`prefix` is `leaf_prefix(trees)`. What reads or writes voxels is parallel over the trees; each writes to its
+own place, so results do not depend on the number of threads. What only looks at trees and leaves is not
+parallel: a forked loader worker may call it, and OpenMP does not survive a fork.
 """
 
 from __future__ import annotations
