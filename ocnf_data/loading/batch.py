@@ -177,9 +177,11 @@ def make_batch(assembled: Assembled, request: Request, epoch: int, step: int) ->
         slots.append(slot)
         end = slot.end + -slot.end % _ALIGNMENT
     arena = torch.empty(end, dtype=torch.uint8)
+    memory = arena.numpy()
     for slot in slots:
-        _fill(arena, slot.trees_at, [sample.octrees[slot.member].trees for sample in samples])
-        _fill(arena, slot.data_at, [sample.octrees[slot.member].data for sample in samples])
+        _fill(memory[slot.trees_at :], [sample.octrees[slot.member].trees for sample in samples])
+        _fill(memory[slot.data_at :], [sample.octrees[slot.member].data for sample in samples])
+        memory[slot.end : slot.end + -slot.end % _ALIGNMENT] = 0  # equal batches have equal arenas
     return Batch(
         epoch=epoch,
         step=step,
@@ -194,8 +196,9 @@ def make_batch(assembled: Assembled, request: Request, epoch: int, step: int) ->
     )
 
 
-def _fill(arena: Tensor, at: int, arrays: Sequence[npt.NDArray[Any]]) -> None:
-    memory = arena.numpy()
+def _fill(memory: npt.NDArray[np.uint8], arrays: Sequence[npt.NDArray[Any]]) -> None:
+    """Copy arrays, one behind the other, to the beginning of the memory."""
+    at = 0
     for array in arrays:
         memory[at : at + array.nbytes] = array.reshape(-1).view(np.uint8)
         at += array.nbytes
