@@ -20,8 +20,8 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
                    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[F64, I64]:
     """Marching cubes of a TSDF octree: a closed surface around what lies below `level`, facing outwards.
 
-    Every edge belongs to exactly two faces. Beyond the grid's border everything is free, so that a solid cut off there is closed too. Only the trees
-    that are not wholly free are expanded.
+    Every edge belongs to exactly two faces. Beyond the grid's border everything is free, so that a solid cut
+    off there is closed too. Only the trees that are not wholly free are expanded.
 
     Args:
         octree: 1 channel, TSDF / tau: negative inside.
@@ -45,12 +45,9 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     values = np.pad(cropped.to_dense()[0], 1, constant_values=1.0) - np.float32(level)
     near = np.abs(values) < _CLEAR
     values[near] = np.where(values[near] < 0, -_CLEAR, _CLEAR)
-    while True:
+    zyx, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+    while len(crowded := _crowded_edges(faces)) and _fill(values, zyx[crowded].mean(axis=1)):
         zyx, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
-        crowded = _crowded_edges(faces)
-        if len(crowded) == 0:
-            break
-        _fill(values, zyx[crowded].mean(axis=1))
     size = extent / max(octree.shape)
     index = zyx[:, ::-1].astype(np.float64) - 1 + 8 * first_tree[::-1]  # voxels x y z; 1 is the border
     centre = np.array(octree.shape[::-1]) / 2
@@ -89,12 +86,16 @@ def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
     return np.stack([crowded // n, crowded % n], axis=1)
 
 
-def _fill(values: npt.NDArray[np.float32], middles: npt.NDArray[np.floating]) -> None:
+def _fill(values: npt.NDArray[np.float32], middles: npt.NDArray[np.floating]) -> bool:
     """Make one more voxel solid at every side of a cell in which a point of `middles` (k, 3), z y x, lies.
 
     Of its two free voxels, which alternate with two solid ones, it is the one nearer to the surface. Nothing
-    is ever made free, so that repeating this comes to an end.
+    is ever made free, so that repeating this comes to an end. False if there was nothing left to fill.
     """
-    for z, y, x in middles:
-        side = values[tuple(slice(int(np.floor(c)), int(np.ceil(c)) + 1) for c in (z, y, x))]
-        side[side == side[side > 0].min(initial=np.inf)] = -_CLEAR
+    n_free = 0
+    for middle in middles:
+        side = values[tuple(slice(int(np.floor(c)), int(np.ceil(c)) + 1) for c in middle)]
+        free = side > 0
+        n_free += int(free.sum())
+        side[side == side[free].min(initial=np.inf)] = -_CLEAR
+    return n_free > 0

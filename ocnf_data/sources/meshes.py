@@ -139,13 +139,12 @@ def _read_bytes(path: Path, max_bytes: int) -> bytes:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             raise OcnfError("not a plain file", code="unreadable", where=path)
+        if status.st_size > max_bytes:
+            raise OcnfError("the file is too large", code="too_large", where=path,
+                            found=f"{status.st_size} bytes", expected=f"at most {max_bytes}",
+                            fix="raise the limit if the file is meant")
         with path.open("rb") as file:
-            data = file.read(min(status.st_size, max_bytes) + 1)
+            return file.read(status.st_size)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise OcnfError(f"cannot be read ({reason})", code="unreadable", where=path) from error
-    if len(data) > max_bytes or status.st_size > max_bytes:
-        raise OcnfError("the file is too large", code="too_large", where=path,
-                        found=f"{status.st_size} bytes", expected=f"at most {max_bytes}",
-                        fix="raise the limit if the file is meant")
-    return data
