@@ -1,0 +1,129 @@
+"""The tools see what is right, and what is wrong, in a small data set."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocnf_data.generation import generate
+from ocnf_data.manifest import Manifest
+from ocnf_data.octree import GridOctree
+from ocnf_data.shards import browse
+from ocnf_data.shards.browse import StoredSample, find_sample, stored_samples
+
+TOOLS = Path(__file__).parent.parent / "tools"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    out = tmp_path_factory.mktemp("tools") / "data"
+    manifest = Manifest.from_dict({
+        "name": "small", "source": {"kind": "shapes", "categories": ["chair", "mug"], "counts": {"train": 2}},
+        "camera": {"rig": "fibonacci16", "width": 160, "height": 120, "fx": 88, "fy": 88, "cx": 79, "cy": 61},
+        "resolutions": [32, 64],
+        "inputs": [{"name": "v3", "views": 3, "sigma": 0.02,
+                    "encodings": ["occupancy", "tsdf", "tdf_occupancy", "histogram"]}]})
+    assert generate(manifest, out, progress=False).samples == 2
+    return out
+
+
+def run(tool, *args, status=0):
+    done = subprocess.run([sys.executable, TOOLS / tool, *map(str, args)], capture_output=True, text=True,
+                          env={"COLUMNS": "200", "PATH": ""}, check=False)
+    assert done.returncode == status, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_samples_are_found_and_decoded(data):
+    keys = [sample.key for sample in stored_samples(str(data))]
+    assert len(keys) == len(set(keys)) == 2
+    sample = find_sample(str(data), keys[1])
+    assert sample.facts["key"] == keys[1] and sample.split == "train"
+    assert sample.octree("target-64.oct").n_leaves == sample.facts["leaf_counts"]["target-64.oct"]
+
+
+def test_a_missing_sample_is_named(data):
+    with pytest.raises(browse.OcnfError, match="no such sample") as error:
+        find_sample(str(data), "sofa-1")
+    assert error.value.field == "sofa-1"
+
+
+def test_what_generation_wrote_is_physically_right(data):
+    text = run("check_shards.py", data, "--samples", 2, "--cells", 4000)
+    # 2 samples x 2 resolutions x (3 of the target + 2 of each of 4 encodings)
+    assert "44 of 44 checks of 2 samples passed" in text
+
+
+@pytest.mark.parametrize(("member", "spoil", "check"), [
+    ("target-64.oct", lambda v: np.clip(v + 0.01, -1, 1), "cells"),
+    ("target-64.oct", lambda v: np.roll(v, 2, axis=3), "surface"),
+    ("v3-tsdf-32.oct", lambda v: np.where(np.abs(v) < 1, -v, v), "cells"),
+    ("v3-histogram-64.oct", lambda v: v[::-1].copy(), "cells"),
+    ("v3-occupancy-64.oct", lambda v: 1 - v, "cells"),
+    ("v3-tdf_occupancy-64.oct", lambda v: np.stack([v[0], 1 - v[1]]), "cells"),
+])
+def test_an_octree_that_is_wrong_is_noticed(data, member, spoil, check, monkeypatch):
+    """The spoilt octree is stored as well as a right one: only physics can tell."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import check_shards
+
+    right = StoredSample.octree
+
+    def octree(sample, name):
+        found = right(sample, name)
+        return GridOctree.from_dense(spoil(found.to_dense()).astype(np.float32)) if name == member else found
+
+    monkeypatch.setattr(StoredSample, "octree", octree)
+    sample = next(stored_samples(str(data)))
+    manifest = Manifest.from_dict(browse.load_dataset(str(data)).manifest)
+    checks = check_shards.check_sample(sample, manifest, None, 4000, 0)
+    wrong = {(c.member, c.check) for c in checks if not c.ok}
+    assert (member, check) in wrong
+    assert {name for name, _ in wrong} == {member}
+
+
+def test_values_out_of_range_are_noticed(monkeypatch):
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import check_shards
+
+    from ocnf_data.encodings import Encoding
+
+    def octree(*values):
+        return GridOctree(np.zeros((1, 1, 1, 2), np.uint64), np.float32([values]))
+
+    assert check_shards.check_range(octree(-1), Encoding.TSDF)[1]
+    assert not check_shards.check_range(octree(-1.01), Encoding.TSDF)[1]
+    assert not check_shards.check_range(octree(-0.5), Encoding.OCCUPANCY)[1]
+    assert check_shards.check_range(octree(*[0.1] * 10), Encoding.HISTOGRAM)[1]
+    assert not check_shards.check_range(octree(*[0.11] * 10), Encoding.HISTOGRAM)[1]
+
+
+def test_a_mesh_that_has_changed_is_refused(data):
+    sample = next(stored_samples(str(data)))
+    manifest = Manifest.from_dict(browse.load_dataset(str(data)).manifest)
+    from ocnf_data.generation.remake import remake
+
+    facts = {**sample.facts, "mesh": {**sample.facts["mesh"], "sha256": "0" * 64}}
+    with pytest.raises(browse.OcnfError) as error:
+        remake(manifest, facts)
+    assert error.value.code == "changed"
+
+
+def test_pictures_and_statistics_are_drawn(data, tmp_path):
+    import cv2
+
+    text = run("show_sample.py", data, "--pictures", tmp_path, "--encoding", "tsdf", "--random", 1)
+    picture = cv2.imread(text.split()[-1])
+    assert picture.shape[1] > 1000 and len(np.unique(picture.reshape(-1, 3), axis=0)) > 1000
+    text = run("shard_stats.py", data, "--plot", tmp_path / "stats.png", "--band-samples", 0)
+    assert "chair" in text and "mug" in text and "v3 histogram" in text
+    assert cv2.imread(str(tmp_path / "stats.png")).shape[1] > 600
+
+
+def test_a_tool_says_in_a_sentence_what_is_missing(tmp_path, data):
+    for tool in ("check_shards.py", "show_sample.py", "shard_stats.py"):
+        text = run(tool, tmp_path / "nothing", status=1)
+        assert "error:" in text and "nothing" in text and "Traceback" not in text
+    assert "v4" in run("show_sample.py", data, "--variant", "v4", "--pictures", tmp_path, status=1)
