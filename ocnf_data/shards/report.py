@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from ocnf_data.shards.dataset import DatasetInfo
 from ocnf_data.shards.index import is_shard
@@ -73,7 +73,8 @@ def print_verify(report: VerifyReport, console: Console) -> int:
     if report.ok:
         console.print(f"[green]whole[/]: {looked}", highlight=False)
         return 0
-    table = Table("file", "sample", "member", "byte", "code", "what is wrong", box=None, pad_edge=False)
+    whole = [Column(name, no_wrap=True) for name in ("file", "sample", "member", "byte", "code")]
+    table = Table(*whole, "what is wrong", box=None, pad_edge=False)
     for problem in report.problems[:_MOST_ROWS]:
         cells = (problem.file, problem.key, problem.member, problem.offset, problem.code, problem.what)
         table.add_row(*("" if cell is None else escape(str(cell)) for cell in cells))

@@ -43,12 +43,13 @@ def read_everything(store: Store) -> int:
     return n_members
 
 
-def reader_notices(store: Store) -> bool:
+def reader_notices(store: Store) -> str | None:
+    """The code of the reader's error, None if it noticed nothing."""
     try:
         read_everything(store)
-    except OcnfError:
-        return True
-    return False
+    except OcnfError as error:
+        return error.code
+    return None
 
 
 def test_the_data_set_is_whole_to_begin_with(octree_set: Store) -> None:
@@ -64,12 +65,26 @@ def test_cut_at_every_block(opaque_set: Store, octree_set: Store) -> None:
         whole = path.read_bytes()
         for end in range(0, len(whole), BLOCK):
             with damaged(path, whole[:end]):
-                assert reader_notices(store), end
+                assert reader_notices(store) == "truncated", end
     for end in range(0, len(whole), 4 * BLOCK):  # verify decodes every octree, so fewer cuts
         with damaged(path, whole[:end]):
             report = verify(octree_set)
         assert {problem.file for problem in report.problems} >= {TAR}, end
         assert any(problem.code == "truncated" for problem in report.problems), end
+
+
+def test_a_wrong_size_is_noticed_with_the_first_sample(opaque_set: Store) -> None:
+    """Before a week of training has come to the sample that is gone."""
+    path = opaque_set.root / TAR
+    whole = path.read_bytes()
+    entry = load_dataset(opaque_set).splits["train"][0]
+    for data, code in ((whole[:-1], "truncated"), (whole + bytes(512), "size")):
+        with damaged(path, data), ShardReader(opaque_set, "train", entry) as reader:
+            with pytest.raises(OcnfError) as caught:
+                reader.read(0, ["json"])
+            assert caught.value.code == code
+    with damaged(path, whole + bytes(512)):
+        assert ("trailer", len(whole)) in {(p.code, p.offset) for p in verify(opaque_set).problems}
 
 
 def test_cut_in_the_middle_is_found_where_it_happens_if_the_size_is_hidden(octree_set: Store) -> None:
@@ -163,7 +178,7 @@ def test_a_flipped_bit_anywhere_in_an_index(opaque_set: Store) -> None:
     whole = path.read_bytes()
     for bit in range(0, 8 * len(whole), 53):
         with damaged(path, flipped(whole, bit)):
-            assert reader_notices(opaque_set), bit
+            assert reader_notices(opaque_set) == "checksum", bit
 
 
 def test_verify_catches_a_flipped_bit_in_every_other_file(octree_set: Store) -> None:

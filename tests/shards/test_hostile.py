@@ -180,6 +180,14 @@ def test_what_follows_the_end_is_refused(tmp_path: Path, good: list[tuple[tarfil
         refused(store, plant(store, tar_of(*good)[:-cut]))
 
 
+def test_hidden_bytes_in_the_padding_are_refused(tmp_path: Path,
+                                                 good: list[tuple[tarfile.TarInfo, bytes]]) -> None:
+    tar = bytearray(tar_of(*good))
+    tar[1023] = 1
+    store = Store(tmp_path)
+    assert "padding" in refused(store, plant(store, bytes(tar)))
+
+
 def test_a_link_behind_an_honest_index_is_refused(tmp_path: Path,
                                                   good: list[tuple[tarfile.TarInfo, bytes]]) -> None:
     """The attacker controls all three files: sizes and hashes agree, only the header is that of a link."""
