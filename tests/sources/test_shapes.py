@@ -1,4 +1,4 @@
-"""Procedural shapes: always the same, always valid, never twice the same, and as messy as they are meant to be."""
+"""Procedural shapes: always the same, always valid, never two alike, and as messy as they are meant to be."""
 
 import json
 import subprocess
@@ -6,14 +6,37 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
+from ocnf_data import rigs
 from ocnf_data.errors import OcnfError
+from ocnf_data.render import render_depth
+from ocnf_data.sources import normalise
 from ocnf_data.sources.shapes import CATEGORIES, make_shape
 from ocnf_data.sources.shapes.draw import Draw
-from ocnf_data.sources.shapes.primitives import Part, bevel_box, box, cushion, ellipse, frustum, loft, revolve, stack, tube
+from ocnf_data.sources.shapes.primitives import (
+    Part,
+    bevel_box,
+    box,
+    cushion,
+    ellipse,
+    frustum,
+    loft,
+    revolve,
+    stack,
+    tube,
+)
 from ocnf_data.sources.topology import is_watertight
 
 COUNT = 25
+GOLDEN = {
+    "airplane": "bd1843b0a332", "bed": "de217a035a7b", "bottle": "48d11c72d06d",
+    "car": "333c7c33b1c4", "chair": "a43a844a5c03", "desk": "c9415305f71e",
+    "guitar": "fa882a6a7334", "lamp": "d4998ea97eaa", "monitor": "a5cbb64365ef",
+    "mug": "47b5e40b98a9", "plant": "6edbcc44ab5a", "shelf": "e6a4dd76e77d",
+    "sofa": "cf5000559ab4", "table": "40440a46d14d",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +71,7 @@ def test_no_two_are_alike(shapes):
 def test_each_part_of_the_key_counts():
     one = make_shape("chair", 0, 3, "train")
     assert one.sha256 == make_shape("chair", 0, 3, "train").sha256
-    for other in (("chair", 1, 3, "train"), ("chair", 0, 4, "train"), ("chair", 0, 3, "test"), ("sofa", 0, 3, "train")):
+    for other in (("chair", 1, 3, "train"), ("chair", 0, 4, "train"), ("chair", 0, 3, "test")):
         assert make_shape(*other).sha256 != one.sha256
 
 
@@ -65,9 +88,6 @@ def test_golden_shapes():
     """Guards against a change of numpy's Philox and against changes of the shapes that nobody meant."""
     found = {c: make_shape(c, 0, 0, "train").sha256[:12] for c in CATEGORIES}
     assert found == GOLDEN
-
-
-GOLDEN: dict[str, str] = {}
 
 
 def test_winding_is_inconsistent_in_most_and_consistent_in_some(shapes):
@@ -87,10 +107,21 @@ def test_open_and_closed_and_in_many_pieces(shapes):
 
 
 def test_hidden_insides(shapes):
-    """Some component lies strictly inside the box of another one that is closed: count by category."""
-    assert any(make_shape("lamp", 0, i, "train").stats["components"] > 3 for i in range(5))
-    mug = revolve([(0, 0), (2, 0), (2, 3), (0, 3)], 16)
-    assert is_watertight(mug.faces)
+    """In a good share of the shapes some component can be taken away without any camera noticing."""
+    R, T = rigs.look_from(rigs.icosphere(1), 3.0)
+    K = rigs.intrinsics(70, 70, 47.5, 47.5)
+    hidden = []
+    for category in CATEGORIES:
+        mesh = shapes[category, 1]
+        points, _ = normalise(mesh)
+        depth = render_depth(points, mesh.faces, K, R, T, size=(96, 96))
+        _, label = connected_components(coo_matrix((np.ones(3 * len(mesh.faces)), (
+            mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())), shape=[len(points)] * 2))
+        of_face = label[mesh.faces[:, 0]]
+        rest = (of_face != k for k in np.unique(of_face)[::-1][:15])
+        hidden.append(any(np.array_equal(depth, render_depth(points, mesh.faces[r], K, R, T, size=(96, 96)))
+                          for r in rest if r.any()))
+    assert np.mean(hidden) > 0.4
 
 
 def _volume(part: Part) -> float:
@@ -133,5 +164,5 @@ def test_draw_covers_its_range():
 
 
 def test_unknown_category():
-    with pytest.raises(OcnfError, match="unicorn.*airplane"):
+    with pytest.raises(OcnfError, match=r"unicorn.*airplane"):
         make_shape("unicorn", 0, 0, "train")

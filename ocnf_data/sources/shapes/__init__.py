@@ -28,7 +28,7 @@ from ocnf_data.sources.shapes.seating import chair, sofa
 from ocnf_data.sources.shapes.shelves import shelf
 from ocnf_data.sources.shapes.tables import desk, table
 from ocnf_data.sources.shapes.vessels import bottle, mug
-from ocnf_data.sources.topology import mesh_stats
+from ocnf_data.sources.topology import is_watertight, mesh_stats
 
 _BUILDERS: dict[str, Callable[[Draw], list[Part]]] = {
     f.__name__: f
@@ -58,13 +58,29 @@ def make_shape(category: str, seed: int, index: int, split: str) -> Mesh:
         )
     draw = Draw("ocnf.shapes.1", seed, category, split, index)
     parts = _BUILDERS[category](draw)
-    part = _rewind(parts, draw)
+    part = _rewind([*parts, *_cores(parts, draw)], draw)
     while len(part.faces) < _MIN_FACES:
         part = subdivide(part)
     vertices = np.round(part.vertices, 6) + 0.0  # no negative zeros
     faces = np.ascontiguousarray(part.faces, dtype=np.int64)
     sha256 = hashlib.sha256(vertices.astype("<f8").tobytes() + faces.astype("<i8").tobytes()).hexdigest()
     return Mesh(vertices, faces, sha256, mesh_stats(vertices, faces))
+
+
+def _cores(parts: list[Part], draw: Draw) -> list[Part]:
+    """Shells within solids, where no camera sees them: smaller copies of some convex parts inside these."""
+    chosen = [draw.pick(*parts) for _ in range(draw.count(0, 6))]
+    return [p.shrink(draw.between(0.3, 0.8)) for p in chosen if _is_convex(p)]
+
+
+def _is_convex(part: Part) -> bool:
+    """Whether a part is closed, convex, wound outwards, and small enough to be worth the test."""
+    if len(part.faces) > 1500 or not is_watertight(part.faces):
+        return False
+    a, b, c = (part.vertices[part.faces[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    height = part.vertices @ normal.T - (a * normal).sum(axis=1)
+    return bool((height <= 1e-9 * np.ptp(part.vertices) ** 3).all())
 
 
 def _rewind(parts: list[Part], draw: Draw) -> Part:

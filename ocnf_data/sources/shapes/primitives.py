@@ -31,6 +31,11 @@ class Part(NamedTuple):
         faces = self.faces[:, ::-1] if x * y * z < 0 else self.faces
         return Part(self.vertices * (x, y, z), faces)
 
+    def shrink(self, factor: float) -> Part:
+        """Scaled about the middle of its box."""
+        middle = (self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2
+        return Part(middle + factor * (self.vertices - middle), self.faces)
+
     def turn(self, axis: str, degrees: float) -> Part:
         """Turned about x, y or z through the origin, counter-clockwise seen from the axis' tip."""
         i = "xyz".index(axis)
