@@ -151,7 +151,7 @@ def doctor() -> None:
 @app.command()
 def watertight(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="A file with the format as suffix, or a folder.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],
     jobs: Jobs,
     resolution: Annotated[int, typer.Option(min=8, max=1024, help="Voxels along the cube.")] = 256,
     level: Annotated[float, typer.Option(
