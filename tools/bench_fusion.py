@@ -5,6 +5,17 @@
 80 views, 640x480, of the paper's rig; the 4-view variant has 2 % noise. Without MESH a procedural chair.
 Peak memory is that of a child process above what it holds once the package is imported, its kernels are
 loaded and the depth maps are read; the pyramid counts.
+
+What made the difference, seconds for 80 views of a chair into the 256^3 TSDF on one thread, the pyramid
+(0.03) not counted; the dense loop takes 10:
+
+    0.56    cubes of 16, 8 and 4 voxels tested against the pyramid (measured with the last line's code)
+    0.28    the SILHOUETTE class: a cube in an object's shadow that some other view sees to be free is
+            settled. 33 M voxel x views are left to evaluate of 1.34 G; the 2.2 M tests take 0.22
+    0.27    division without Python's check for zero, so that the projection can be vectorised
+    0.18    the eight parts of a cube tested at once, their geometry as vector code
+
+Evaluation, in float64, is about a quarter of what is left, so float32 with a guard near ties was not tried.
 """
 
 from __future__ import annotations

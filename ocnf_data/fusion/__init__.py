@@ -149,7 +149,7 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     data = np.empty((prefix[-1], encoding.channels), np.float32)
     while leaves:  # a row's leaves are dropped as soon as they are in place
         place_row(leaves.pop(), prefix, *rows.pop(), counts, data)
-    return GridOctree(trees, data)
+    return GridOctree.trusted(trees, data)
 
 
 def _grid(resolution: Resolution, extent: float, origin: Origin) -> Grid:
@@ -162,8 +162,9 @@ def _grid(resolution: Resolution, extent: float, origin: Origin) -> Grid:
 
 
 def _shape(resolution: Resolution) -> tuple[int, int, int]:
-    shape = (resolution,) * 3 if isinstance(resolution, int | np.integer) else tuple(resolution)
-    if len(shape) != 3 or any(n % 8 or not 8 <= n <= MAX_RESOLUTION for n in shape):
+    shape = tuple(resolution) if isinstance(resolution, tuple | list) else (resolution,) * 3
+    whole = len(shape) == 3 and all(isinstance(n, int | np.integer) for n in shape)
+    if not whole or any(n % 8 or not 8 <= n <= MAX_RESOLUTION for n in shape):
         raise OcnfError("resolution is not a multiple of 8 in range", where="fusion", field="resolution",
                         found=resolution, expected=f"8, 16, ... {MAX_RESOLUTION}")
     return int(shape[0]), int(shape[1]), int(shape[2])

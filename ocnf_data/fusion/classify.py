@@ -116,7 +116,7 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
         return FREE if edge == 0 else SILHOUETTE + EDGE
     deepest = max(max(windows[a, DEEPEST], windows[b, DEEPEST]),
                   max(windows[c, DEEPEST], windows[d, DEEPEST]))
-    if deepest == 0 or deepest - front < near - _METRE_SLACK:
+    if deepest - front < near - _METRE_SLACK:
         farthest = max(max(windows[a, FARTHEST], windows[b, FARTHEST]),
                        max(windows[c, FARTHEST], windows[d, FARTHEST]))
         return NOTHING if farthest < math.inf else SILHOUETTE + edge

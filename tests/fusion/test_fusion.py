@@ -119,6 +119,14 @@ def test_an_infinite_ray_carves_and_a_missing_pixel_says_nothing(scenes):
     assert (unseen.data == -1).all()
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_octree_is_valid(scenes, encoding):
+    octree = fuse(scenes["plane"], encoding, (16, 40, 24))
+    checked = GridOctree(octree.trees, octree.data)
+    assert checked.shape == (16, 40, 24)
+    assert checked.channels == encoding.channels
+
+
 def test_histograms_sum_to_one(scenes):
     octree = fuse_histogram(scenes["sphere"], 64)
     np.testing.assert_allclose(octree.data.sum(axis=1), 1, atol=1e-6)
@@ -166,6 +174,7 @@ def test_the_default_truncation_is_the_papers():
         ({"resolution": 100}, "resolution"), ({"resolution": 0}, "resolution"),
         ({"resolution": -8}, "resolution"),
         ({"resolution": 1032}, "resolution"), ({"resolution": (64, 64)}, "resolution"),
+        ({"resolution": 64.0}, "resolution"), ({"resolution": "64"}, "resolution"),
         ({"resolution": (64, 64, 60)}, "resolution"), ({"extent": 0.0}, "extent"),
         ({"extent": float("nan")}, "extent"), ({"truncation": -0.1}, "truncation"),
         ({"truncation": float("inf")}, "truncation"), ({"origin": (0.0, 0.0)}, "origin"),
