@@ -157,8 +157,8 @@ def print_table(reports: dict[str, dict[str, Any]], n_meshes: int, n_views: int)
     """One row a way; speed is relative to BASE, the median over the meshes of each mesh's ratio."""
     faces = reports["raster"]["faces"]
     console = Console(width=110)
-    console.print(f"{n_meshes} meshes of {min(faces):,} to {max(faces):,} faces, median {np.median(faces):,.0f}; "
-                  f"{n_views} views of 640x480; one thread")
+    console.print(f"{n_meshes} meshes of {min(faces):,} to {max(faces):,} faces, median "
+                  f"{np.median(faces):,.0f}; {n_views} views of 640x480; one thread")
     table = Table("", *(Column(head, justify="right") for head in (
         "ms a view, median", "min .. max", "speed", "99 % within, mm", "pixels a view off")))
     base = reports[BASE].get("ms")

@@ -171,8 +171,8 @@ def _draw(
 def _upper_first(
     ua: float, va: float, wa: float, ub: float, vb: float, wb: float
 ) -> tuple[float, float, float, float, float, float]:
-    """The two vertices, the upper one first; of two in a row the left one, whatever order they came in."""
-    if vb < va or (vb == va and ub < ua):
+    """The two vertices, the upper one first; the order of two in one row does not matter."""
+    if vb < va:
         return ub, vb, wb, ua, va, wa
     return ua, va, wa, ub, vb, wb
 

@@ -32,7 +32,7 @@ def attempt() -> str:
     return "no error"
 
 
-def meshes(n: int = 50) -> object:
+def meshes(n: int = 24) -> object:
     """Whether n renderings equal the first, with an image of another size between, and the growth in MB."""
     first, resident = render(), []
     render((30, 40))

@@ -40,7 +40,7 @@ def test_the_probe_measures(monkeypatch: pytest.MonkeyPatch) -> None:
     assert report["wrong"] == 0
 
     def shifted(vertices: Any, faces: Any, K: np.ndarray, *rest: Any) -> np.ndarray:
-        return right(vertices, faces, K + [[0, 0, 0.5], [0, 0, 0], [0, 0, 0]], *rest)
+        return right(vertices, faces, np.add(K, [[0, 0, 0.5], [0, 0, 0], [0, 0, 0]]), *rest)
 
     def culled(vertices: Any, faces: np.ndarray, *rest: Any) -> np.ndarray:
         return right(vertices, faces[:-2], *rest)

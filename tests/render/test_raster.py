@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
@@ -109,6 +109,7 @@ PIXELS = st.tuples(st.integers(-3, 15), st.integers(-3, 13))
 
 
 @given(PIXELS, PIXELS, PIXELS)
+@example((0, -44), (-3, 5), (1, 5))  # 49 * (1 / 49) < 1: the last corner would be lost to rounding
 def test_covers_the_pixels_of_a_triangle(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> None:
     """Vertices on whole pixels: coverage, edges and corners included, is decided in integers."""
     K, R, T = intrinsics(1.0, 1.0, 0.0, 0.0), np.eye(3)[None], np.zeros((1, 3))
@@ -121,6 +122,21 @@ def test_covers_the_pixels_of_a_triangle(a: tuple[int, int], b: tuple[int, int],
     inside = ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)) & (area != 0)
     np.testing.assert_array_equal(np.isfinite(depth), inside)
     assert (depth[inside] == 1.0).all()
+
+
+def test_edge_on_triangles_stay_between_their_corners() -> None:
+    """The depth of a triangle seen edge on to within rounding is anything between its corners', no more."""
+    rng = np.random.default_rng(0)
+    K, R, T = intrinsics(32.0, 32.0, 6.0, 5.0), np.eye(3)[None], np.zeros((1, 3))
+    hits = 0
+    for width in np.repeat([1e-17, 1e-16, 1e-15, 1e-13], 500):
+        x, y, z = rng.integers(-2, 3, 3) * width, rng.uniform(-1, 1, 3), rng.uniform(1, 6, 3)
+        corners = np.stack([x, y, z], axis=1)
+        depth = render_depth(corners, [[0, 1, 2]], K, R, T, (11, 13))
+        seen = depth[np.isfinite(depth)]
+        hits += seen.size
+        assert ((seen > corners[:, 2].min() - 1e-5) & (seen < corners[:, 2].max() + 1e-5)).all()
+    assert hits > 1000
 
 
 @pytest.mark.parametrize("seed", range(3))
