@@ -2,10 +2,10 @@
 
 Each takes the whole file as bytes and opens nothing else (no material, texture or external buffer), checks
 what the header claims against the bytes that are there before it allocates, and raises OcnfError for
-everything else. OFF, OBJ, PLY and STL are read here: trimesh 5.2 refuses OFF headers run together with the
-counts and binary PLY that mixes triangles with larger polygons, ignores negative OBJ indices' meaning,
-splits vertices at texture seams, and allocates an object for every line of an ASCII PLY. GLB goes through
-trimesh, behind a check of its accessors.
+everything else. OFF, OBJ, PLY and STL are read here, because trimesh 5.2 fails on OFF and binary PLY files
+that mix triangles with larger polygons, counts negative OBJ indices from the end of the file instead of from
+the face, splits and reorders the vertices of an OBJ at texture seams, and allocates an object for every line
+of an ASCII PLY. GLB goes through trimesh, behind a check of its accessors.
 """
 
 from __future__ import annotations

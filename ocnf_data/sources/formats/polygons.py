@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from ocnf_data.errors import OcnfError
 
@@ -14,8 +15,7 @@ I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
 _COMMENT = re.compile(rb"#[^\n]*")
-_IS_SPACE = np.zeros(256, dtype=bool)
-_IS_SPACE[list(b" \t\n\v\f")] = True
+_NEWLINE = ord("\n")
 
 
 def unreadable(what: str, where: str, found: object = None, expected: object = None) -> OcnfError:
@@ -40,18 +40,27 @@ def plain_text(data: bytes) -> bytes:
     return text + b"\n"
 
 
-def token_starts(text: U8) -> I64:
-    """Positions of the first byte of every run of non-blank bytes."""
-    space = _IS_SPACE[text]
-    start = ~space
-    start[1:] &= space[:-1]
-    return np.flatnonzero(start)
+@njit(inline="always")
+def is_blank(byte: int) -> bool:
+    """Whether a byte separates tokens; the control characters are no part of any number."""
+    return byte <= 32
 
 
-def tokens_per_line(text: U8, starts: I64) -> tuple[I64, I64]:
-    """How many of the tokens that begin at `starts` each line holds, and where each line's newline is."""
-    newlines = np.flatnonzero(text == ord("\n"))
-    return np.diff(np.searchsorted(starts, newlines), prepend=0), newlines
+@njit(cache=True, nogil=True)
+def _tokens_per_line(text: U8) -> npt.NDArray[np.int32]:
+    """(lines,) how many tokens stand on each line."""
+    n_lines = 0
+    for byte in text:
+        n_lines += byte == _NEWLINE
+    counts = np.zeros(n_lines, np.int32)
+    line, before = 0, True
+    for byte in text:
+        blank = is_blank(byte)
+        if before and not blank:
+            counts[line] += 1
+        line += byte == _NEWLINE
+        before = blank
+    return counts
 
 
 def parse_numbers(text: U8, where: str, dtype: type) -> tuple[npt.NDArray, I64]:
@@ -60,16 +69,15 @@ def parse_numbers(text: U8, where: str, dtype: type) -> tuple[npt.NDArray, I64]:
     Returns:
         values (n,) of `dtype`, and counts (lines,): how many of them stand on each line, blank ones too.
     """
-    starts = token_starts(text)
-    counts, _ = tokens_per_line(text, starts)
-    if starts.size == 0:  # numpy reads a number out of pure white space
+    counts = _tokens_per_line(text).astype(np.int64)
+    if not counts.any():  # numpy reads a number out of pure white space
         return np.empty(0, dtype), counts
     values: npt.NDArray
     try:
         values = np.fromstring(text.tobytes(), dtype=dtype, sep=" ")
     except ValueError:
         values = np.empty(0, dtype)
-    if values.size != starts.size:
+    if values.size != counts.sum():
         raise unreadable("holds something that is not a number", where)
     return values, counts
 
