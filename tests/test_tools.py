@@ -122,6 +122,22 @@ def test_pictures_and_statistics_are_drawn(data, tmp_path):
     assert cv2.imread(str(tmp_path / "stats.png")).shape[1] > 600
 
 
+def test_statistics_are_those_of_the_dense_volumes(data, monkeypatch):
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import shard_stats
+
+    columns = shard_stats.collect(str(data), "train", band_samples=0, mad=True)
+    samples = list(stored_samples(str(data)))
+    truth = [sample.octree("target-64.oct").to_dense() for sample in samples]
+    noisy = [sample.octree("v3-tsdf-64.oct").to_dense() for sample in samples]
+    tau = 3 / 64 * 32 / 15
+    np.testing.assert_allclose(columns["MAD mm, v3 64³"]["all"],
+                               [1000 * tau * np.abs(a - b).mean() for a, b in zip(truth, noisy, strict=True)],
+                               rtol=1e-5)
+    np.testing.assert_allclose(columns["band 64³"]["all"], [100 * (np.abs(t) < 1).mean() for t in truth])
+    np.testing.assert_allclose(columns["coverage"]["all"], [100 * s.facts["coverage"] for s in samples])
+
+
 def test_a_tool_says_in_a_sentence_what_is_missing(tmp_path, data):
     for tool in ("check_shards.py", "show_sample.py", "shard_stats.py"):
         text = run(tool, tmp_path / "nothing", status=1)

@@ -1,11 +1,12 @@
 """Leaf counts, band fractions and depth coverage of a data set by category: a table, and a plot.
 
     python tools/shard_stats.py demo-out
-    python tools/shard_stats.py OUT --split train --plot stats.png --band-samples 0
+    python tools/shard_stats.py OUT --split test --plot stats.png --mad
 
 *truth* and the inputs: the number of leaves as a share of the voxels; *band* the share of the volume with
 |TSDF| < tau (which means decoding the ground truth, so by default only of a few samples a category);
-*coverage* the share of the pixels of all views that hit the mesh.
+*coverage* the share of the pixels of all views that hit the mesh. With --mad also plain fusion's error: the
+mean over all voxels of |TSDF of the noisy views - ground truth| in millimetres, for inputs stored as `tsdf`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +24,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
@@ -30,6 +33,7 @@ from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
 
 ALL = "all"
+Columns = dict[str, dict[str, list[float]]]
 
 
 def band_fraction(octree: GridOctree) -> float:
@@ -38,14 +42,22 @@ def band_fraction(octree: GridOctree) -> float:
     return float(volume[np.abs(octree.data[:, 0]) < 1].sum() / volume.sum())
 
 
-def collect(url: str, split: str | None, band_samples: int) -> dict[str, dict[str, list[float]]]:
-    """Values by column and category; `all` is every category together."""
+def mean_absolute_difference(a: GridOctree, b: GridOctree) -> float:
+    """Mean over all voxels of |a - b|, channel 0."""
+    return float(np.abs(a.to_dense()[0] - b.to_dense()[0]).mean(dtype=np.float64))
+
+
+def collect(url: str, split: str | None, band_samples: int, mad: bool = False) -> Columns:
+    """Values in percent (MAD: millimetres) by column and category; `all` is every category together."""
     info = load_dataset(url)
     manifest = Manifest.from_dict(info.manifest)
+    fused = [v.name for v in manifest.inputs if Encoding.TSDF in v.encodings] if mad else []
+    if mad and (not fused or manifest.target != "tsdf"):
+        raise OcnfError("no input is stored as TSDF beside a TSDF target", where=url, field="--mad")
     members: list[tuple[str, Callable[[int], str]]] = [("truth", target_member)]
     members += [(f"{variant.name} {encoding}", partial(input_member, variant.name, encoding))
                 for variant in manifest.inputs for encoding in variant.encodings]
-    columns: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    columns: Columns = defaultdict(lambda: defaultdict(list))
 
     def add(column: str, category: str, value: float) -> None:
         columns[column][category].append(value)
@@ -56,43 +68,47 @@ def collect(url: str, split: str | None, band_samples: int) -> dict[str, dict[st
         if split not in (None, sample.split):
             continue
         category = sample.entry.category
-        add("coverage", category, sample.facts["coverage"])
+        add("coverage", category, 100 * sample.facts["coverage"])
         for label, name_of in members:
             for res in manifest.resolutions:
                 leaves = sample.entry.leaf_counts[name_of(res)]
-                add(f"{label} {res}³", category, leaves / res**3)
+                add(f"{label} {res}³", category, 100 * leaves / res**3)
         finest = manifest.resolutions[-1]
         column = f"band {finest}³"
         if manifest.target == "tsdf" and len(columns[column][category]) < (band_samples or np.inf):
-            add(column, category, band_fraction(sample.octree(target_member(finest))))
+            add(column, category, 100 * band_fraction(sample.octree(target_member(finest))))
+        for variant, res in product(fused, manifest.resolutions):
+            error = mean_absolute_difference(sample.octree(input_member(variant, Encoding.TSDF, res)),
+                                             sample.octree(target_member(res)))
+            add(f"MAD mm, {variant} {res}³", category, 1000 * manifest.truncation(res) * error)
     if not columns:
         raise OcnfError("no samples", code="empty", where=url, field="split", found=split)
     return columns
 
 
-def print_table(columns: dict[str, dict[str, list[float]]]) -> None:
+def print_table(columns: Columns) -> None:
     """One row a category, the means in percent; what differs in resolution alone shares a cell."""
     grouped: dict[str, list[str]] = defaultdict(list)
     for name in columns:
         grouped[name.rpartition(" ")[0] or name].append(name)
-    table = Table("category", "n", title="means, % of the voxels (coverage: of the pixels)")
+    table = Table("category", "n", title="means, in % of the voxels (coverage: of the pixels)")
     for label, names in grouped.items():
         resolutions = " / ".join(name.removeprefix(label).strip() for name in names)
         table.add_column(f"{label}\n{resolutions}", justify="right", no_wrap=True)
     categories = [*sorted(set(columns["coverage"]) - {ALL}), ALL]
     for category in categories:
-        cells = (" / ".join(_percent(columns[name][category]) for name in names)
+        cells = (" / ".join(_mean(columns[name][category]) for name in names)
                  for names in grouped.values())
         n_samples = str(len(columns["coverage"][category]))
         table.add_row(category, n_samples, *cells, end_section=category == categories[-2])
     Console().print(table)
 
 
-def _percent(values: list[float]) -> str:
-    return f"{100 * np.mean(values):.2f}" if values else "-"
+def _mean(values: list[float]) -> str:
+    return f"{np.mean(values):.3g}" if values else "-"
 
 
-def draw(columns: dict[str, dict[str, list[float]]], path: Path) -> None:
+def draw(columns: Columns, path: Path) -> None:
     """A box plot a column, by category."""
     import matplotlib as mpl
 
@@ -105,9 +121,9 @@ def draw(columns: dict[str, dict[str, list[float]]], path: Path) -> None:
     size = (5.2 * across, 0.9 + down * (1 + 0.28 * len(categories)))
     figure, axes = plt.subplots(down, across, figsize=size, squeeze=False, constrained_layout=True)
     for ax, (name, values) in zip(axes.flat, columns.items(), strict=False):
-        ax.boxplot([100 * np.array(values[c]) for c in categories], orientation="horizontal",
+        ax.boxplot([values[c] for c in categories], orientation="horizontal",
                    tick_labels=categories, widths=0.6, medianprops={"color": "#1f6fb2"})
-        ax.set_title(f"{name}, %", fontsize=10)
+        ax.set_title(name if name.startswith("MAD") else f"{name}, %", fontsize=10)
         ax.set_xlim(left=0)
         ax.invert_yaxis()
         ax.grid(axis="x", alpha=0.3)
@@ -123,10 +139,11 @@ def main(
     split: Annotated[str | None, typer.Option(help="Only this split.")] = None,
     plot: Annotated[Path, typer.Option(help="Where the plot goes.")] = Path("pictures/stats.png"),
     band_samples: Annotated[int, typer.Option(help="Decode so many a category for the band; 0: all.")] = 3,
+    mad: Annotated[bool, typer.Option("--mad", help="Also plain fusion's error in millimetres.")] = False,
 ) -> None:
     """Statistics of a data set by category."""
     try:
-        columns = collect(data, split, band_samples)
+        columns = collect(data, split, band_samples, mad)
     except OcnfError as error:
         typer.secho(f"error: {error}", fg="red", err=True)
         raise typer.Exit(1) from None
