@@ -4,6 +4,11 @@ BIN  := $(VENV)/bin
 OUT  ?= demo-out
 JOBS ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 
+# Numba keys a compiled kernel on its own file, so a change in what it calls from another file goes unnoticed:
+# the kernels of other sources than these are not used.
+SOURCES := $(shell find ocnf_data ocnf_model -name '*.py' | LC_ALL=C sort)
+export NUMBA_CACHE_DIR := $(CURDIR)/.numba/$(shell cat $(SOURCES) | cksum | cut -d ' ' -f 1)
+
 .PHONY: help setup demo test lint bench clean
 help:
 	@echo "make demo [MESHES=DIR] [OUT=demo-out]   generate a small data set, verify it, draw pictures"
@@ -20,15 +25,23 @@ $(VENV)/.ready: pyproject.toml constraints.txt tools/setup_venv.sh
 demo: setup
 	@$(BIN)/python tools/demo.py --out "$(OUT)" --jobs $(JOBS) $(if $(MESHES),--meshes "$(MESHES)")
 
-test: setup
+test: setup stale
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
 
 lint: setup
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
 
+# On procedural shapes, or on real meshes laid out as ModelNet with MESHES=DIR.
 bench: setup
-	@$(BIN)/python tools/bench.py
+	@for of in octree codec fusion loader; do echo; $(BIN)/python tools/bench_$$of.py || exit 1; done
+	@$(BIN)/python tools/bench_render.py $(if $(MESHES),"$(MESHES)")
+	@$(BIN)/python tools/bench_generate.py $(if $(MESHES),--meshes "$(MESHES)")
+
+# Kernels of older sources, which nothing uses any more.
+.PHONY: stale
+stale:
+	@find .numba -mindepth 1 -maxdepth 1 -not -path "$(NUMBA_CACHE_DIR:$(CURDIR)/%=%)" -exec rm -rf {} + 2>/dev/null || true
 
 clean:
-	rm -rf "$(OUT)" build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .numba "$(OUT)" build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
