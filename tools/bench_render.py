@@ -2,11 +2,11 @@
 
     python tools/bench_render.py [FOLDER | MESH ...] [--meshes 15] [--views 10]
 
-Of the mesh files (default: those under $OCNF_DATA/meshes) with 2,000 to 40,000 faces, some are chosen evenly
-and drawn at 640x480 from the paper's rig. Every way runs in a child process of its own, and one that is not
-installed is left out, with the reason. Reading the mesh and a first rendering (compiling, opening a context)
-are not counted; handing the mesh over, and the ray caster's rays, are. Errors are against `raster`, which the
-tests hold to ray casting.
+Of the mesh files (default: those under $OCNF_DATA/meshes, else procedural shapes) with 2,000 to 40,000
+faces, some are chosen evenly and drawn at 640x480 from the paper's rig. Every way runs in a child process
+of its own, and one that is not installed is left out, with the reason. Reading the mesh and a first
+rendering (compiling, opening a context) are not counted; handing the mesh over, and the ray caster's rays,
+are. Errors are against `raster`, which the tests hold to ray casting.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.render import render_depth
 from ocnf_data.rigs import intrinsics, look_from, published80, view_subset
 from ocnf_data.sources import normalise, read_mesh
+from ocnf_data.sources.shapes import CATEGORIES, make_shape
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -62,11 +65,23 @@ def main() -> None:
     if options.child:
         print(json.dumps(measure(DRAW[options.child], options.paths, options.views)))
         return
-    if not options.paths and "OCNF_DATA" not in os.environ:
-        parser.error("name a folder of meshes, or set OCNF_DATA")
-    meshes = choose(options.paths or [Path(os.environ["OCNF_DATA"], "meshes")], options.meshes)
-    reports = {way: run_child(*WAYS[way], meshes, options.views) for way in WAYS}
+    with tempfile.TemporaryDirectory() as folder:
+        if not options.paths and "OCNF_DATA" in os.environ:
+            options.paths = [Path(os.environ["OCNF_DATA"], "meshes")]
+        meshes = choose(options.paths or [write_shapes(Path(folder))], options.meshes)
+        reports = {way: run_child(*WAYS[way], meshes, options.views) for way in WAYS}
     print_table(reports, len(meshes), options.views)
+
+
+def write_shapes(folder: Path) -> Path:
+    """Write two procedural shapes of each category as OFF files."""
+    for category, index in product(CATEGORIES, range(2)):
+        shape = make_shape(category, 0, index, "train")
+        rows = [" ".join(map(str, vertex)) for vertex in shape.vertices.tolist()]
+        rows += [f"3 {a} {b} {c}" for a, b, c in shape.faces.tolist()]
+        header = f"OFF\n{len(shape.vertices)} {len(shape.faces)} 0\n"
+        (folder / f"{category}-{index}.off").write_text(header + "\n".join(rows) + "\n")
+    return folder
 
 
 def choose(paths: Iterable[Path], n: int) -> list[Path]:
