@@ -24,6 +24,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
                   help="Grid-octree training data from meshes: generate, verify, look at, mend.")
 _out = Console()
 _err = Console(stderr=True)
+_debug = False
 
 
 class Backend(StrEnum):
@@ -47,10 +48,10 @@ Jobs = Annotated[int, typer.Option(
 
 
 @app.callback()
-def _options(ctx: typer.Context, debug: Annotated[bool, typer.Option(
+def _options(debug: Annotated[bool, typer.Option(
         "--debug", help="Show where in the code an error was raised.")] = False) -> None:
-    ctx.ensure_object(dict)
-    ctx.obj["debug"] = debug
+    global _debug
+    _debug = debug
 
 
 @app.command()
@@ -188,11 +189,10 @@ class _Bar:
 
 def main() -> None:
     """Run the command line; a user's error is one red sentence and exit status 1."""
-    debug = "--debug" in sys.argv[1:2]
     try:
         app()
     except OcnfError as error:
-        if debug:
+        if _debug:
             raise
         _err.print(f"[red]error:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(1)
