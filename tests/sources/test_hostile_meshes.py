@@ -45,6 +45,9 @@ def code_of(path: Path, **limits) -> str:
 
 @pytest.mark.parametrize(("name", "content", "code"), [
     ("a.off", "OFF\n9999999999 9999999999 0\n0 0 0\n", "too_large"),
+    ("a.obj", "f\\", "empty"),  # the last line ends in a continuation: found by fuzzing
+    ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\\", "unreadable"),
+    ("a.ply", "ply\nelement face 1\nproperty list uchar int vertex_indices\n", "unreadable"),
     ("a.off", "OFF\n9999999999 1 0\n0 0 0\n", "unreadable"),
     ("a.off", "OFF\n3 400000 0\n" + TRIANGLE, "unreadable"),
     ("a.off", "OFF\n3 1 0\n" + TRIANGLE + "4 0 1 2\n", "unreadable"),

@@ -29,7 +29,7 @@ def parse_obj(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
     """
     text = plain_text(data)
     if b"\\\n" in text:  # a line continued on the next
-        text = text.replace(b"\\\n", b" ")
+        text = text.replace(b"\\\n", b" ") + b"\n"  # the last line may have been continued, too
     vertex_text, face_text, defined_above = _sort_lines(np.frombuffer(text, np.uint8))
 
     coordinates, counts = parse_numbers(vertex_text, where, np.float64)

@@ -101,9 +101,9 @@ def _parse_header(text: bytes, where: str) -> tuple[str, list[_Element]]:
             case ["element", name, count] if re.fullmatch(r"\d{1,15}", count):
                 elements.append(_Element(name, int(count)))
             case ["property", "list", count, kind, name] if (
-                elements and kind in _TYPES and _TYPES.get(count, "f")[0] in "iu"
+                elements and form and kind in _TYPES and _TYPES.get(count, "f")[0] in "iu"
             ):
-                types = (np.dtype(_ENDIAN[form] + _TYPES[t]) for t in (kind, count)) if form else ()
+                types = (np.dtype(_ENDIAN[form] + _TYPES[t]) for t in (kind, count))
                 elements[-1].properties.append(_Property(name, *types))
             case ["property", kind, name] if elements and kind in _TYPES and form:
                 elements[-1].properties.append(_Property(name, np.dtype(_ENDIAN[form] + _TYPES[kind])))
