@@ -1,0 +1,213 @@
+"""What a 3x3x3 convolution reads: which leaves, and with what weight.
+
+For a leaf c and an offset k = 9 kz + 3 ky + kx (k - 1 = -1, 0, 1 along each axis), row (c, k) of the overlap
+matrix holds, for each leaf l, the fraction of the voxels v of c for which v + k - 1 lies in l. Voxels outside
+the grid count for nothing. Rows of *regular* leaves, one voxel wide and not at the border of their grid, have
+a single entry of 1 each: they are kept as a plain index table, all others as sparse rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, tree_leaves
+from ocnf_model.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.structure import Structure
+
+N_OFFSETS = 27
+HALO = 10  # a tree and one voxel around it
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """The overlap matrix of a structure.
+
+    Attributes:
+        regular: (R,) int64, the regular leaves in order.
+        table: (R, 27) int32, for each of them the leaf at each offset.
+        irregular: (I,) int64, all other leaves.
+        starts: (27 I + 1,) int32, row (i, k) has the entries starts[27 i + k] to starts[27 i + k + 1].
+        columns, weights: (N,) int32 and float32, the leaf and the fraction of each entry.
+        volumes: (L, 1) float32, voxels of each leaf.
+    """
+
+    regular: Tensor
+    table: Tensor
+    irregular: Tensor
+    starts: Tensor
+    columns: Tensor
+    weights: Tensor
+    volumes: Tensor
+
+    @classmethod
+    def build(cls, structure: Structure) -> Neighbours:
+        """Compute the matrix on the CPU."""
+        trees, prefix, grid = structure.flat, structure.prefix, structure.grid
+        regular = regular_leaves(trees, prefix, grid)
+        rank = np.cumsum(regular, dtype=np.int64) - regular  # regular leaves in front of each leaf
+        n_regular = int(regular.sum())
+        starts = np.zeros(N_OFFSETS * (structure.n_leaves - n_regular) + 1, np.int64)
+        count_irregular(trees, prefix, grid, regular, rank, starts[1:])
+        np.cumsum(starts, out=starts)
+        table, columns, weights = fill(trees, prefix, grid, regular, rank, n_regular, starts)
+        return cls(
+            regular=torch.from_numpy(np.flatnonzero(regular)),
+            table=torch.from_numpy(table),
+            irregular=torch.from_numpy(np.flatnonzero(~regular)),
+            starts=torch.from_numpy(starts.astype(np.int32)),
+            columns=torch.from_numpy(columns),
+            weights=torch.from_numpy(weights),
+            volumes=torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None],
+        )
+
+    def to(self, device: torch.device) -> Neighbours:
+        """The tables on a device."""
+        return Neighbours(**{name: tensor.to(device) for name, tensor in vars(self).items()})
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> npt.NDArray[np.bool_]:
+    """(L,) bool: leaves one voxel wide whose 27 neighbours all lie inside the grid."""
+    regular = np.empty(prefix[-1], np.bool_)
+    for t in prange(len(trees)):
+        _, gd, gh, gw = tree_place(t, grid)
+        cells = np.empty((MAX_LEAVES, 4), np.int16)
+        for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
+            z, y, x = 8 * gd + cells[leaf, 0], 8 * gh + cells[leaf, 1], 8 * gw + cells[leaf, 2]
+            inside = 0 < z < 8 * grid[0] - 1 and 0 < y < 8 * grid[1] - 1 and 0 < x < 8 * grid[2] - 1
+            regular[prefix[t] + leaf] = inside and cells[leaf, 3] == 1
+    return regular
+
+
+@njit(cache=True, nogil=True)
+def _paint_halo(
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: npt.NDArray[np.int32],
+    widths: npt.NDArray[np.int32],
+) -> None:
+    """Leaf and leaf width at the 10^3 voxels in and around tree `t`; leaf -1 outside the grid."""
+    b, gd, gh, gw = tree_place(t, grid)
+    for dz in range(-1, 2):
+        z0, z1 = (0, 1) if dz < 0 else (1, 9) if dz == 0 else (9, 10)
+        for dy in range(-1, 2):
+            y0, y1 = (0, 1) if dy < 0 else (1, 9) if dy == 0 else (9, 10)
+            for dx in range(-1, 2):
+                x0, x1 = (0, 1) if dx < 0 else (1, 9) if dx == 0 else (9, 10)
+                u = tree_at(b, gd + dz, gh + dy, gw + dx, grid)
+                single = u < 0 or not is_split(trees[u, 0], trees[u, 1], 0)
+                leaf, width = (-1, 1) if u < 0 else (0, 8)
+                first = 0 if u < 0 else prefix[u]
+                for z in range(z0, z1):
+                    for y in range(y0, y1):
+                        for x in range(x0, x1):
+                            if not single:
+                                leaf, width = leaf_of_voxel(trees[u, 0], trees[u, 1], (z - 1) % 8,
+                                                            (y - 1) % 8, (x - 1) % 8)
+                            leaves[z, y, x] = first + leaf
+                            widths[z, y, x] = width
+
+
+@njit(cache=True, nogil=True)
+def _overlap(low: int, high: int, start: int, width: int) -> int:
+    """Length of what [low, high) and [start, start + width) share."""
+    return max(0, min(high, start + width) - max(low, start))
+
+
+@njit(cache=True, nogil=True)
+def _neighbours_of(
+    cell: npt.NDArray[np.int16], leaves: npt.NDArray[np.int32], widths: npt.NDArray[np.int32],
+    found: npt.NDArray[np.int32],
+) -> int:
+    """The leaves that touch a leaf, itself included: their number n.
+
+    Writes to `found` (1000, 10) rows (leaf, overlap along z at kz = 0, 1, 2, along y, along x). The overlap
+    at (kz, ky, kx) is the product of the three.
+    """
+    w = cell[3]
+    n = 0
+    # Halo coordinates are those of the tree plus 1: leaves are aligned to multiples of their width, plus 1.
+    for z in range(cell[0], cell[0] + w + 2):
+        for y in range(cell[1], cell[1] + w + 2):
+            for x in range(cell[2], cell[2] + w + 2):
+                if leaves[z, y, x] < 0:
+                    continue
+                wide = widths[z, y, x]
+                z0, y0, x0 = ((z - 1) & -wide) + 1, ((y - 1) & -wide) + 1, ((x - 1) & -wide) + 1
+                # Each leaf counts once, at its lowest voxel within reach.
+                if z != max(z0, cell[0]) or y != max(y0, cell[1]) or x != max(x0, cell[2]):
+                    continue
+                found[n, 0] = leaves[z, y, x]
+                for k in range(3):
+                    found[n, 1 + k] = _overlap(z0, z0 + wide, cell[0] + k, w)
+                    found[n, 4 + k] = _overlap(y0, y0 + wide, cell[1] + k, w)
+                    found[n, 7 + k] = _overlap(x0, x0 + wide, cell[2] + k, w)
+                n += 1
+    return n
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def count_irregular(
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: npt.NDArray[np.bool_],
+    rank: npt.NDArray[np.int64], counts: npt.NDArray[np.int64],
+) -> None:
+    """Write the number of entries of each row (i, k) of the irregular leaves to `counts` (27 I,)."""
+    for t in prange(len(trees)):
+        cells = np.empty((MAX_LEAVES, 4), np.int16)
+        n = tree_leaves(trees[t, 0], trees[t, 1], cells)
+        if regular[prefix[t] : prefix[t] + n].all():
+            continue
+        leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
+        found = np.empty((HALO**3, 10), np.int32)
+        _paint_halo(trees, prefix, grid, t, leaves, widths)
+        for cell in range(n):
+            leaf = prefix[t] + cell
+            if regular[leaf]:
+                continue
+            row = N_OFFSETS * (leaf - rank[leaf])
+            n_found = _neighbours_of(cells[cell], leaves, widths, found)
+            for k in range(N_OFFSETS):
+                count = 0
+                for m in range(n_found):
+                    count += (found[m, 1 + k // 9] * found[m, 4 + k // 3 % 3] * found[m, 7 + k % 3]) > 0
+                counts[row + k] = count
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def fill(
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: npt.NDArray[np.bool_],
+    rank: npt.NDArray[np.int64], n_regular: int, starts: npt.NDArray[np.int64],
+) -> tuple[Indices, Indices, npt.NDArray[np.float32]]:
+    """The table of the regular leaves, and columns and weights of the others, as in `Neighbours`."""
+    table = np.empty((n_regular, N_OFFSETS), np.int32)
+    columns = np.empty(starts[-1], np.int32)
+    weights = np.empty(starts[-1], np.float32)
+    for t in prange(len(trees)):
+        cells = np.empty((MAX_LEAVES, 4), np.int16)
+        n = tree_leaves(trees[t, 0], trees[t, 1], cells)
+        leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
+        found = np.empty((HALO**3, 10), np.int32)
+        _paint_halo(trees, prefix, grid, t, leaves, widths)
+        for cell in range(n):
+            leaf = prefix[t] + cell
+            z, y, x, w = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
+            if regular[leaf]:
+                row = table[rank[leaf]]
+                for k in range(N_OFFSETS):
+                    row[k] = leaves[z + k // 9, y + k // 3 % 3, x + k % 3]
+                continue
+            first = N_OFFSETS * (leaf - rank[leaf])
+            n_found = _neighbours_of(cells[cell], leaves, widths, found)
+            for k in range(N_OFFSETS):
+                entry = starts[first + k]
+                for m in range(n_found):
+                    voxels = found[m, 1 + k // 9] * found[m, 4 + k // 3 % 3] * found[m, 7 + k % 3]
+                    if voxels > 0:
+                        columns[entry] = found[m, 0]
+                        weights[entry] = voxels / (w * w * w)
+                        entry += 1
+    return table, columns, weights

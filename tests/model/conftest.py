@@ -1,0 +1,120 @@
+"""Random batches, and the dense definition that every operation is held against."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import strategies as st
+
+from ocnf_data.octree import GridOctree
+from ocnf_model.octree import OctreeBatch
+from ocnf_model.structure import Structure
+
+
+def random_trees(rng: np.random.Generator, n: int, likelihood: float) -> np.ndarray:
+    """(n, 2) uint64: every node is split with that likelihood, if its parent is."""
+    split = np.zeros((n, 73), bool)
+    split[:, 0] = rng.random(n) < likelihood
+    for i in range(1, 73):
+        split[:, i] = split[:, (i - 1) // 8] & (rng.random(n) < likelihood)
+    bits = np.zeros((n, 128), np.uint64)
+    bits[:, :73] = split
+    weights = np.uint64(1) << np.arange(64, dtype=np.uint64)
+    return (bits.reshape(n, 2, 64) * weights).sum(axis=2, dtype=np.uint64)
+
+
+def random_batch(seed: int, grid: tuple[int, int, int] = (1, 1, 1), batch_size: int = 1, channels: int = 2,
+                 likelihood: float = 0.5, dtype: torch.dtype = torch.float64) -> OctreeBatch:
+    """A batch with random trees and standard normal features."""
+    rng = np.random.default_rng(seed)
+    trees = random_trees(rng, batch_size * int(np.prod(grid)), likelihood)
+    structure = Structure(trees.reshape(batch_size, *grid, 2))
+    features = torch.from_numpy(rng.standard_normal((structure.n_leaves, channels)))
+    return OctreeBatch(structure, features.to(dtype))
+
+
+@st.composite
+def random_batches(draw: st.DrawFn, channels: int | None = None, even: bool = False) -> OctreeBatch:
+    """Batches of 1-3 grids of different structures, non-cubic grids, all-leaf and all-voxel trees likely."""
+    sides = st.sampled_from([2, 2, 4]) if even else st.integers(1, 3)
+    grid = draw(st.tuples(sides, sides, sides).filter(lambda sides: np.prod(sides) <= 16))
+    channels = draw(st.integers(1, 3)) if channels is None else channels
+    return random_batch(draw(st.integers(0, 2**32 - 1)), grid, draw(st.integers(1, 3)), channels,
+                        draw(st.sampled_from([0.0, 0.2, 0.5, 0.8, 1.0])))
+
+
+def leaf_index(structure: Structure) -> np.ndarray:
+    """(B, D, H, W): the leaf of each voxel, by way of `GridOctree`."""
+    volumes, first = [], 0
+    for trees in structure.trees:
+        octree = GridOctree(trees, np.zeros((_count(trees), 1), np.float32))
+        volumes.append(octree.leaf_index() + first)
+        first += octree.n_leaves
+    return np.stack(volumes)
+
+
+def _count(trees: np.ndarray) -> int:
+    return int(np.bitwise_count(trees).sum()) * 7 + len(trees.reshape(-1, 2))
+
+
+def expand(batch: OctreeBatch) -> torch.Tensor:
+    """(B, C, D, H, W), differentiable."""
+    index = torch.from_numpy(leaf_index(batch.structure)).long()
+    return batch.features[index].permute(0, 4, 1, 2, 3)
+
+
+def leaf_average(structure: Structure, dense: torch.Tensor) -> torch.Tensor:
+    """(L, C): the mean of a (B, C, D, H, W) volume over each leaf, differentiable."""
+    index = torch.from_numpy(leaf_index(structure)).long().reshape(-1)
+    rows = dense.permute(0, 2, 3, 4, 1).reshape(len(index), -1)
+    total = torch.zeros(structure.n_leaves, rows.shape[1], dtype=dense.dtype).index_add(0, index, rows)
+    return total / torch.bincount(index).to(dense.dtype)[:, None]
+
+
+def widths(structure: Structure) -> np.ndarray:
+    """(B, D, H, W): width of the leaf at each voxel, from how many voxels share it."""
+    index = leaf_index(structure)
+    return np.round(np.cbrt(np.bincount(index.reshape(-1)))).astype(int)[index]
+
+
+def coarsest(wanted: np.ndarray) -> np.ndarray:
+    """(B, D, H, W) widths of the coarsest octree none of whose leaves is wider than wanted at any voxel."""
+    result = np.ones_like(wanted)
+    for w in (2, 4, 8):
+        for b, *corner in itertools.product(range(len(wanted)), *(range(0, n, w) for n in wanted.shape[1:])):
+            box = (b, *(slice(i, i + w) for i in corner))
+            if wanted[box].min() >= w:
+                result[box] = w
+    return result
+
+
+@pytest.fixture(scope="session")
+def batches() -> Callable[..., st.SearchStrategy[OctreeBatch]]:
+    """Strategy: `data.draw(batches(channels=None, even=False))`."""
+    return random_batches
+
+
+@pytest.fixture(scope="session")
+def make_batch() -> Callable[..., OctreeBatch]:
+    """`random_batch(seed, grid, batch_size, channels, likelihood, dtype)`."""
+    return random_batch
+
+
+class Dense:
+    """The dense side of the definition."""
+
+    leaf_index = staticmethod(leaf_index)
+    expand = staticmethod(expand)
+    leaf_average = staticmethod(leaf_average)
+    widths = staticmethod(widths)
+    coarsest = staticmethod(coarsest)
+
+
+@pytest.fixture(scope="session")
+def dense() -> type[Dense]:
+    """The oracle: expand, average over leaves, widths."""
+    return Dense
