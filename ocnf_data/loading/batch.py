@@ -16,7 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.utils.data import get_worker_info
+from torch.utils.data._utils.collate import default_collate_fn_map
 
+from ocnf_data.errors import OcnfError
 from ocnf_data.loading.assemble import Assembled, Lost
 from ocnf_data.loading.catalogue import Request
 from ocnf_data.octree import GridOctree
@@ -176,7 +179,7 @@ def make_batch(assembled: Assembled, request: Request, epoch: int, step: int) ->
         slot = Slot(member, resolution, TARGET if encoding is None else str(encoding), n_leaves, end)
         slots.append(slot)
         end = slot.end + -slot.end % _ALIGNMENT
-    arena = torch.empty(end, dtype=torch.uint8)
+    arena = _allocate(end)
     memory = arena.numpy()
     for slot in slots:
         _fill(memory[slot.trees_at :], [sample.octrees[slot.member].trees for sample in samples])
@@ -194,6 +197,23 @@ def make_batch(assembled: Assembled, request: Request, epoch: int, step: int) ->
         arena=arena,
         slots=tuple(slots),
     )
+
+
+def _refuse_to_collate(batches: Sequence[Batch], *, collate_fn_map: object = None) -> Batch:
+    raise OcnfError("ShardDataset forms the batches itself", where="DataLoader", field="batch_size",
+                    expected="None, and ShardDataset(..., batch_size=...)")
+
+
+default_collate_fn_map[Batch] = _refuse_to_collate  # torch's own message would not say what to do
+
+
+def _allocate(n_bytes: int) -> Tensor:
+    """(n_bytes,) uint8, not initialised; in a worker it is shared memory from the start, as in torch's own
+    collate function: moving it there when it is sent takes as long again as all of the decoding.
+    """
+    if get_worker_info() is None or n_bytes == 0:
+        return torch.empty(n_bytes, dtype=torch.uint8)
+    return torch.empty(0, dtype=torch.uint8).set_(torch.UntypedStorage._new_shared(n_bytes))
 
 
 def _fill(memory: npt.NDArray[np.uint8], arrays: Sequence[npt.NDArray[Any]]) -> None:

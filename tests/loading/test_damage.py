@@ -131,16 +131,26 @@ def test_skipping_puts_the_next_good_sample_in_place_for_any_number_of_workers(f
     assert dataset.lost(0) == [bad] and dataset.lost(1) == []
 
 
-def test_an_exact_epoch_leaves_the_lost_out_and_keeps_its_length(fresh, caplog):
+@pytest.mark.parametrize("workers", [0, 2])
+def test_an_exact_epoch_leaves_the_lost_out_and_keeps_its_length(fresh, workers):
     url, tar = fresh
     flip(tar, members(tar)[1][1]["offset"])
     dataset = everything(url, on_error="skip", uneven="exact", shuffle=False)
-    with caplog.at_level(logging.WARNING):
-        batches = list(dataset)
+    batches = list(DataLoader(dataset, batch_size=None, num_workers=workers))
     assert len(batches) == len(dataset) == 11
     assert [batch.keys for batch in batches] == [(), *((f"s{number:03d}",) for number in range(1, 11))]
     assert batches[0].inputs[16].grids() == [] and batches[0].inputs[16].to_float().shape == (0, 10)
-    assert "s000" in caplog.text and str(tar) in caplog.text
+
+
+def test_the_lost_are_logged_once_an_epoch(fresh, caplog):
+    url, tar = fresh
+    flip(tar, members(tar)[1][1]["offset"])
+    dataset = everything(url, on_error="skip", batch_size=4, max_bad_fraction=0.5)
+    with caplog.at_level(logging.WARNING, logger="ocnf_data.loader"):
+        for _ in range(2):
+            list(dataset)
+    assert len(caplog.records) == 2
+    assert all(str(tar) in record.message and "s000" in record.message for record in caplog.records)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

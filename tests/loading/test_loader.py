@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from multiprocessing.reduction import ForkingPickler
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from ocnf_data import OcnfError, ShardDataset
+from ocnf_data.loading.cursor import Cursor
 from ocnf_data.loading.order import Partition, Uneven, epoch_order
 from ocnf_data.octree import decode
 
@@ -66,6 +68,21 @@ def test_set_epoch_and_abandoned_epochs_with_workers(eleven, persistent):
     dataset.set_epoch(7)
     assert seen(loader) == expected_batches(7, 2)
     assert seen(loader) == expected_batches(8, 2)
+
+
+def test_a_slow_worker_does_not_take_the_epoch_of_another_iteration(eleven, monkeypatch):
+    """An iteration is given up before its second worker has begun it."""
+    claim = Cursor.claim
+
+    def late(self, worker=0, identity=None):
+        time.sleep(0.2 * worker)
+        return claim(self, worker, identity)
+
+    monkeypatch.setattr(Cursor, "claim", late)
+    loader = load(ShardDataset(eleven, "train", 16, "histogram"), 2, persistent_workers=True)
+    assert [batch.epoch for batch in loader] == [0] * 11
+    iter(loader)
+    assert [batch.epoch for batch in loader] == [2] * 11
 
 
 def test_iterations_that_overlap_have_an_epoch_each(eleven):
@@ -188,6 +205,11 @@ def test_batches_travel_in_one_piece_of_shared_memory(eleven):
     pipe = io.BytesIO()
     ForkingPickler(pipe).dump(batch)
     assert len(pipe.getvalue()) < 4000 < batch.arena.nbytes  # what the queue carries is a handle
+
+
+def test_batching_twice_is_refused(eleven):
+    with pytest.raises(OcnfError, match=r"batch_size: .* expected None"):
+        next(iter(DataLoader(ShardDataset(eleven, "train", 16, "histogram"))))
 
 
 def test_only_what_is_asked_for_is_read(sets, tmp_path):

@@ -60,9 +60,28 @@ with open(log, "a+") as file:
 """
 
 
+COMPILES_NOTHING = """
+import sys
+from numba.core.registry import CPUDispatcher
+from ocnf_data import ShardDataset
+
+batches = list(ShardDataset(sys.argv[1], "train", [16, 32], "histogram", augment="all"))
+kernels = {kernel for name, module in list(sys.modules.items()) if name.startswith("ocnf_data")
+           for kernel in vars(module).values() if isinstance(kernel, CPUDispatcher)}
+assert sum(sum(kernel.stats.cache_hits.values()) for kernel in kernels) > 3
+assert not sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
+"""
+
+
 def start(script: str, *arguments: object) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-W", "ignore", "-c", script, *map(str, arguments)],
                             env=ENVIRONMENT, stdout=subprocess.PIPE, text=True)
+
+
+def test_a_new_process_compiles_nothing(eleven):
+    """Kernels come from numba's cache, so a spawned worker delivers after its imports."""
+    list(ShardDataset(eleven, "train", [16, 32], "histogram", augment="all"))
+    assert start(COMPILES_NOTHING, eleven).wait(timeout=120) == 0
 
 
 def test_two_ranks_on_an_odd_number_of_shards(eleven, tmp_path):
