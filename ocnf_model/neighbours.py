@@ -34,7 +34,6 @@ class Neighbours:
         irregular: (I,) int64, all other leaves.
         starts: (27 I + 1,) int32, row (i, k) has the entries starts[27 i + k] to starts[27 i + k + 1].
         columns, weights: (N,) int32 and float32, the leaf and the fraction of each entry.
-        volumes: (L, 1) float32, voxels of each leaf.
     """
 
     regular: Tensor
@@ -43,7 +42,6 @@ class Neighbours:
     starts: Tensor
     columns: Tensor
     weights: Tensor
-    volumes: Tensor
 
     @classmethod
     def build(cls, structure: Structure) -> Neighbours:
@@ -63,7 +61,6 @@ class Neighbours:
             starts=torch.from_numpy(starts.astype(np.int32)),
             columns=torch.from_numpy(columns),
             weights=torch.from_numpy(weights),
-            volumes=torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None],
         )
 
     def to(self, device: torch.device) -> Neighbours:

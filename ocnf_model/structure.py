@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
@@ -111,6 +112,10 @@ class Structure:
         """(L,) uint8: width of each leaf in voxels (8, 4, 2 or 1)."""
         return leaf_sizes(self.flat, self.prefix)
 
+    def volumes(self, device: torch.device) -> Tensor:
+        """(L, 1) float32 on a device: voxels of each leaf, 1 to 512."""
+        return self.table(_leaf_volumes, device)
+
     def equals(self, other: Structure) -> bool:
         """Whether both are the same trees."""
         return self is other or np.array_equal(self.trees, other.trees)
@@ -158,3 +163,7 @@ class Structure:
         """One line: size, leaves and their share of the voxels."""
         share = self.n_leaves / (self.batch_size * np.prod(self.shape))
         return f"Structure({self.describe()}, n_leaves={self.n_leaves} ({share:.1%}))"
+
+
+def _leaf_volumes(structure: Structure) -> Tensor:
+    return torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None]

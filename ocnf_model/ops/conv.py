@@ -124,13 +124,14 @@ class _Convolution(torch.autograd.Function):
             neighbours = ctx.structure.table(Neighbours.build, features.device)
             # (27 C_out, C_in): h_k comes from the offset opposite to k.
             matrix = weight.flip(2, 3, 4).permute(2, 3, 4, 0, 1).reshape(-1, weight.shape[1])
-            scaled = (grad / neighbours.volumes.to(grad.dtype)).contiguous()
+            volumes = ctx.structure.volumes(grad.device).to(grad.dtype)
+            scaled = (grad / volumes).contiguous()
             for leaves, gathered in _gather(neighbours, scaled):
-                volumes = neighbours.volumes.index_select(0, leaves).to(grad.dtype)
+                voxels = volumes.index_select(0, leaves)
                 if grad_features is not None:
-                    grad_features.index_copy_(0, leaves, (gathered @ matrix).mul_(volumes))
+                    grad_features.index_copy_(0, leaves, (gathered @ matrix).mul_(voxels))
                 if wants_weight:
-                    rows = features.index_select(0, leaves).mul_(volumes)
+                    rows = features.index_select(0, leaves).mul_(voxels)
                     grad_matrix += rows.T @ gathered
         grad_weight = None
         if wants_weight:

@@ -1,0 +1,85 @@
+"""Losses, equal to those of the dense volumes (SEMANTICS 4).
+
+They are computed on the common refinement of prediction and target, each cell weighed by its voxels. To weigh
+the prediction's leaves against the target's leaf means would flatter a coarse prediction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.octree import OctreeBatch
+from ocnf_model.structure import Structure
+
+
+class Reduction(StrEnum):
+    """What a loss returns."""
+
+    MEAN = "mean"
+    """A scalar: the mean over all voxels and channels."""
+    NONE = "none"
+    """(B,): the mean over each grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two batches on their common refinement, at least in float32.
+
+    Attributes:
+        structure: L cells, none of which is divided by either batch.
+        prediction, target: (L, C) values of the cells.
+    """
+
+    structure: Structure
+    prediction: Tensor
+    target: Tensor
+
+    @classmethod
+    def of(cls, prediction: OctreeBatch, target: OctreeBatch) -> Pair:
+        """Refine both; differentiable.
+
+        Raises:
+            OcnfError: they differ in size, channels or device.
+        """
+        prediction.structure.check_same_grid(target.structure, "prediction and target")
+        if (prediction.channels, prediction.device) != (target.channels, target.device):
+            raise OcnfError("prediction and target differ in channels or device", field="target",
+                            found=f"{target.channels} on {target.device}",
+                            expected=f"{prediction.channels} on {prediction.device}")
+        structure = prediction.structure.union(target.structure)
+        dtype = torch.promote_types(prediction.features.dtype, torch.float32)
+        return cls(structure, prediction.refined(structure).features.to(dtype),
+                   target.refined(structure).features.to(dtype))
+
+    def sum_over_voxels(self, costs: Tensor) -> Tensor:
+        """(L, C) values of cells to their sums over the voxels of each grid, (B, C)."""
+        weighted = costs * self.structure.volumes(costs.device).to(costs.dtype)
+        return torch.stack([part.sum(0) for part in weighted.split(self.structure.leaves_per_grid)])
+
+
+def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
+    """Mean |prediction - target| over the voxels; values in units of tau, not clipped."""
+    pair = Pair.of(prediction, target)
+    return _reduce(pair, (pair.prediction - pair.target).abs(), reduction)
+
+
+def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
+    """Mean binary cross entropy over the voxels, of logits against occupancies in [0, 1]."""
+    pair = Pair.of(logits, occupancy)
+    costs = binary_cross_entropy_with_logits(pair.prediction, pair.target, reduction="none")
+    return _reduce(pair, costs, reduction)
+
+
+def _reduce(pair: Pair, costs: Tensor, reduction: str) -> Tensor:
+    if reduction not in tuple(Reduction):
+        raise OcnfError("no such reduction", field="reduction", found=reduction,
+                        expected=" or ".join(Reduction))
+    depth, height, width = pair.structure.shape
+    means = pair.sum_over_voxels(costs).mean(1) / (depth * height * width)
+    return means.mean() if reduction == Reduction.MEAN else means

@@ -1,0 +1,295 @@
+"""OctNetFusion: a coarse-to-fine encoder-decoder on grid-octrees (paper section 3.3, SEMANTICS 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from typing import TypeVar
+
+import torch
+from torch import nn
+from torch.utils.checkpoint import checkpoint
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_model.octree import OctreeBatch
+from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
+
+Choice = TypeVar("Choice", bound=StrEnum)
+
+
+class Join(StrEnum):
+    """How the decoder takes in the encoder's features of the same resolution."""
+
+    CONCAT = "concat"
+    """Side by side (the paper)."""
+    ADD = "add"
+    """Summed (the published training script)."""
+
+
+class Carry(StrEnum):
+    """What the structure module hands to the next level."""
+
+    FEATURES = "features"
+    """The features that the output head reads (the paper)."""
+    RECONSTRUCTION = "reconstruction"
+    """The reconstruction alone (the published code)."""
+
+
+class Output(StrEnum):
+    """What is reconstructed."""
+
+    TSDF = "tsdf"
+    """TSDF / tau, by a linear 1x1x1 head; negative inside."""
+    OCCUPANCY = "occupancy"
+    """Probability of being occupied, by a 3x3x3 head and a sigmoid."""
+
+    @property
+    def threshold(self) -> float:
+        """Value that separates the two sides of the surface."""
+        return 0.0 if self is Output.TSDF else 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class LevelOutput:
+    """What a level makes.
+
+    Attributes:
+        features: (L, channels[0]) of the decoder.
+        raw: (L, 1) of the head: TSDF / tau, or logits of occupancy. Losses take this.
+        output: which of the two.
+    """
+
+    features: OctreeBatch
+    raw: OctreeBatch
+    output: Output
+
+    @property
+    def reconstruction(self) -> OctreeBatch:
+        """TSDF / tau, not clipped, or probabilities of occupancy."""
+        return self.raw if self.output is Output.TSDF else self.raw.with_features(self.raw.features.sigmoid())
+
+
+class Level(nn.Module):
+    """The encoder-decoder of one resolution. With channels (16, 32, 64), at resolution r:
+
+    | block   | resolution | layers, each with ReLU         | parameters, concat (add)      |
+    |---------|------------|--------------------------------|-------------------------------|
+    | first   | r          | 3x3x3 c_in -> 16               | 432 c_in + 16                 |
+    | down1   | r          | 3x3x3 16 -> 32; pool           | 13,856                        |
+    | down2   | r / 2      | 3x3x3 32 -> 32 -> 64; pool     | 83,040                        |
+    | bottom  | r / 4      | 3x3x3 64 -> 64 -> 64 -> 64     | 331,968                       |
+    | up2     | r / 2      | unpool; join 64; -> 32 -> 32   | 138,304 (83,008)              |
+    | up1     | r          | unpool; join 32; -> 16 -> 16   | 34,592 (20,768)               |
+    | head    | r          | 1x1x1 or 3x3x3 16 -> 1, no ReLU| 17 for TSDF, 433 for occupancy|
+
+    Args:
+        in_channels: of the input.
+        channels: of the three resolutions.
+        join: see `Join`.
+        output: see `Output`.
+    """
+
+    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output) -> None:
+        super().__init__()
+        self.join, self.output, self.checkpointing = join, output, False
+        wide, middle, deep = channels
+        joined = 2 if join is Join.CONCAT else 1
+        self.first = _convs(in_channels, wide)
+        self.down1 = _convs(wide, middle)
+        self.down2 = _convs(middle, middle, deep)
+        self.bottom = _convs(deep, deep, deep, deep)
+        self.up2 = _convs(joined * deep, middle, middle)
+        self.up1 = _convs(joined * middle, wide, wide)
+        self.head: nn.Linear | OctreeConv3d
+        if output is Output.OCCUPANCY:
+            self.head = OctreeConv3d(wide, 1)
+        else:
+            self.head = nn.Linear(wide, 1)
+            nn.init.kaiming_normal_(self.head.weight, nonlinearity="linear")
+            nn.init.zeros_(self.head.bias)
+
+    def forward(self, x: OctreeBatch) -> LevelOutput:
+        """(L, c_in) features to those of the decoder and of the head."""
+        fine = self._run(self.down1, self._run(self.first, x))
+        middle = self._run(self.down2, grid_pool(fine))
+        deep = self._run(self.bottom, grid_pool(middle))
+        middle = self._run(self.up2, self._joined(deep, middle))
+        features = self._run(self.up1, self._joined(middle, fine))
+        if isinstance(self.head, nn.Linear):
+            return LevelOutput(features, features.with_features(self.head(features.features)), self.output)
+        return LevelOutput(features, self.head(features), self.output)
+
+    def _joined(self, coarse: OctreeBatch, skipped: OctreeBatch) -> OctreeBatch:
+        up = grid_unpool(coarse, guide=skipped)
+        if self.join is Join.CONCAT:
+            return concat(up, skipped)
+        return up.with_features(up.features + skipped.features)
+
+    def _run(self, convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
+        if self.checkpointing and torch.is_grad_enabled():
+            result: OctreeBatch = checkpoint(_conv_relu, convs, x, use_reentrant=False,
+                                             preserve_rng_state=False)
+            return result
+        return _conv_relu(convs, x)
+
+
+class OctNetFusion(nn.Module):
+    """Encoded views at several resolutions, coarse to fine, to a reconstruction at each.
+
+    Level l takes the encoding at its resolution and, from the second on, what the level before carries up:
+    split near its reconstructed surface and put side by side with the encoding. Input channels of a level,
+    with the histogram's 10 and channels[0] = 16: 10 for the first; 26 for later ones carrying features, 11
+    carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `summary()`; with the defaults
+    606,113 for the first and 613,025 for each later level, 1,832,163 in all.
+
+    >>> network = OctNetFusion()
+    >>> reconstructions = network([x64, x128, x256])        # OctreeBatch of 10 channels each
+    >>> reconstructions[2].features.shape                   # TSDF / tau on its own structure
+    torch.Size([1041277, 1])
+
+    Args:
+        encoding: of the inputs, an `Encoding`.
+        levels: 1 or more; each doubles the resolution.
+        join: `concat` (the paper) or `add`.
+        carry: `features` (the paper) or `reconstruction`.
+        output: `tsdf` or `occupancy`.
+        channels: of the three resolutions within a level; smaller ones make a smaller network.
+        band: of `split_surface`, in fine voxels.
+        checkpointing: keep fewer activations for the backward pass, and compute them again.
+
+    Raises:
+        OcnfError: a setting outside its range.
+    """
+
+    def __init__(
+        self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
+        carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
+        band: float = 1, checkpointing: bool = False,
+    ) -> None:
+        super().__init__()
+        self.encoding = _choice(Encoding, "encoding", encoding)
+        self.join, self.carry = _choice(Join, "join", join), _choice(Carry, "carry", carry)
+        self.output = _choice(Output, "output", output)
+        if levels < 1:
+            raise OcnfError("too few levels", where="OctNetFusion", field="levels", found=levels,
+                            expected="at least 1")
+        if len(channels) != 3 or min(channels) < 1:
+            raise OcnfError("not channels", where="OctNetFusion", field="channels", found=channels,
+                            expected="three positive numbers")
+        self.channels = channels[0], channels[1], channels[2]
+        self.band = band
+        carried = self.channels[0] if self.carry is Carry.FEATURES else 1
+        self.levels = nn.ModuleList(
+            Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output)
+            for level in range(levels)
+        )
+        self.set_checkpointing(checkpointing)
+
+    def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:
+        """The reconstruction of each level, TSDF / tau or probability of occupancy, on its own structure.
+
+        Args:
+            inputs: encodings, coarse to fine, each twice the resolution of the one before, sides multiples
+                of 32 voxels; one for each level, or for the first few of them.
+
+        Raises:
+            OcnfError: the inputs do not fit the network or each other.
+        """
+        return [result.reconstruction for result in self.run(inputs)]
+
+    def run(self, inputs: Sequence[OctreeBatch], frozen: int = 0) -> list[LevelOutput]:
+        """As `forward`, with all that each level makes.
+
+        Args:
+            inputs: as for `forward`.
+            frozen: levels before this one run without gradients: to train level l (from 0) alone, pass
+                `inputs[: l + 1]` and `frozen=l` and take the last output.
+        """
+        self._check(inputs)
+        outputs: list[LevelOutput] = []
+        for level, encoded in enumerate(inputs):
+            with torch.set_grad_enabled(torch.is_grad_enabled() and level >= frozen):
+                x = self.level_input(outputs[-1] if outputs else None, encoded)
+                outputs.append(self.levels[level](x))
+        return outputs
+
+    def level_input(self, before: LevelOutput | None, encoded: OctreeBatch) -> OctreeBatch:
+        """What a level reads: the encoding, and beside it what the level before carries up."""
+        if before is None:
+            return encoded
+        reconstruction = before.reconstruction
+        carried = before.features if self.carry is Carry.FEATURES else reconstruction
+        split = split_surface(carried, reconstruction, self.band, guide=encoded,
+                              threshold=self.output.threshold)
+        return concat(split, encoded.to(dtype=split.features.dtype))  # autocast makes the carried ones short
+
+    def start_from_previous(self, level: int) -> list[str]:
+        """Copy to a level (from 1) the weights of the one before, where shapes match; names of the rest."""
+        if not 0 < level < len(self.levels):
+            raise OcnfError("no level before this one", where="OctNetFusion", field="level", found=level,
+                            expected=f"1 to {len(self.levels) - 1}")
+        before, own = self.levels[level - 1].state_dict(), self.levels[level].state_dict()
+        fitting = {name: value for name, value in before.items() if value.shape == own[name].shape}
+        self.levels[level].load_state_dict(fitting, strict=False)
+        return [name for name in own if name not in fitting]
+
+    def set_checkpointing(self, on: bool) -> None:
+        """Whether the backward pass computes the activations within a block again, to keep fewer."""
+        for module in self.modules():
+            if isinstance(module, Level):
+                module.checkpointing = on
+
+    def summary(self) -> str:
+        """A line a layer: where, kernel, channels, parameters; then the sum."""
+        lines = [f"{'layer':<22} {'kernel':<7} {'channels':>11} {'parameters':>12}"]
+        for name, module in self.named_modules():
+            if isinstance(module, OctreeConv3d | nn.Linear):
+                kernel, (out, into) = "3x3x3", module.weight.shape[:2]
+                if isinstance(module, nn.Linear):
+                    kernel = "1x1x1"
+                lines.append(f"{name:<22} {kernel:<7} {f'{into} -> {out}':>11} {_n_parameters(module):>12,}")
+        lines.append(f"{'all':<22} {'':<7} {'':>11} {_n_parameters(self):>12,}")
+        return "\n".join(lines)
+
+    def _check(self, inputs: Sequence[OctreeBatch]) -> None:
+        if not 1 <= len(inputs) <= len(self.levels):
+            raise OcnfError("a wrong number of inputs", where="OctNetFusion", field="inputs",
+                            found=len(inputs), expected=f"1 to {len(self.levels)}, coarse to fine")
+        for level, encoded in enumerate(inputs):
+            field = f"inputs[{level}]"
+            if encoded.channels != self.encoding.channels:
+                raise OcnfError("wrong channels", where="OctNetFusion", field=field, found=encoded.channels,
+                                expected=f"{self.encoding.channels} for {self.encoding}")
+            size = tuple(side << level for side in inputs[0].shape)
+            if encoded.shape != size or encoded.batch_size != inputs[0].batch_size:
+                raise OcnfError("sizes do not fit", where="OctNetFusion", field=field,
+                                found=encoded.structure.describe(),
+                                expected=f"{inputs[0].batch_size} of {'x'.join(map(str, size))}")
+        if any(side % 32 for side in inputs[0].shape):
+            raise OcnfError("two poolings need sides that are multiples of 32", where="OctNetFusion",
+                            field="inputs[0]", found=inputs[0].structure.describe())
+
+
+def _convs(*channels: int) -> nn.ModuleList:
+    return nn.ModuleList(OctreeConv3d(a, b) for a, b in pairwise(channels))
+
+
+def _conv_relu(convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
+    for conv in convs:
+        x = conv(x)
+        x = x.with_features(x.features.relu_())  # in place: a convolution does not need its result again
+    return x
+
+
+def _n_parameters(module: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+def _choice(kind: type[Choice], field: str, value: str) -> Choice:
+    if value not in tuple(kind):
+        raise OcnfError("no such setting", where="OctNetFusion", field=field, found=value,
+                        expected=" or ".join(kind))
+    return kind(value)

@@ -1,0 +1,103 @@
+"""Losses and metrics equal those of the dense volumes, whatever the two structures are."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from ocnf_data.errors import OcnfError
+from ocnf_model import OctreeBatch
+from ocnf_model.leafmap import leaf_means
+from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
+
+few = settings(max_examples=20, deadline=None)
+
+
+@st.composite
+def pairs(draw: st.DrawFn, batches, make_batch) -> tuple[OctreeBatch, OctreeBatch]:
+    a = draw(batches(channels=1))
+    likelihood = draw(st.sampled_from([0.0, 0.4, 1.0]))
+    b = make_batch(draw(st.integers(0, 99)), a.structure.grid, a.batch_size, 1, likelihood)
+    return a, b
+
+
+@few
+@given(data=st.data())
+def test_losses_and_gradients_equal_the_dense_ones(data, batches, make_batch, dense) -> None:
+    a, b = data.draw(pairs(batches, make_batch))
+    b = b.with_features(b.features.sigmoid())
+    features = a.features.clone().requires_grad_()
+    a = a.with_features(features)
+    p, g = dense.expand(a), dense.expand(b)
+    for ours, theirs in [(l1_loss(a, b), (p - g).abs().mean()),
+                         (bce_loss(a, b), binary_cross_entropy_with_logits(p, g))]:
+        torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(torch.autograd.grad(ours, features),
+                                   torch.autograd.grad(theirs, features, retain_graph=True),
+                                   rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(l1_loss(a, b, "none"), (p - g).abs().mean(dim=(1, 2, 3, 4)))
+
+
+@few
+@given(data=st.data())
+def test_metrics_equal_the_dense_ones(data, batches, make_batch, dense) -> None:
+    a, b = data.draw(pairs(batches, make_batch))
+    p, g = dense.expand(a), dense.expand(b)
+    clipped = (p.clamp(-1, 1) - g.clamp(-1, 1)).abs().mean(dim=(1, 2, 3, 4))
+    torch.testing.assert_close(mad_mm(a, b, 0.025), 25 * clipped)
+    for overlap, predicted, true in [(tsdf_overlap(a, b), p <= 0, g <= 0),
+                                     (occupancy_overlap(a, b), p >= 0.5, g >= 0.5)]:
+        for found, part, whole in [(overlap.iou, predicted & true, predicted | true),
+                                   (overlap.precision, predicted & true, predicted),
+                                   (overlap.recall, predicted & true, true)]:
+            n, m = (mask.sum(dim=(1, 2, 3, 4)).double() for mask in (part, whole))
+            torch.testing.assert_close(found, torch.where(m > 0, n / m.clamp(min=1), 1.0))
+
+
+def test_leaf_means_of_the_target_would_flatter_a_coarse_prediction(dense) -> None:
+    """One leaf that says 0 where the truth is half -1 and half 1: the mean error is 1, not 0."""
+    volume = torch.ones(1, 1, 8, 8, 8)
+    volume[..., :4] = -1
+    truth = OctreeBatch.full(volume)
+    coarse = OctreeBatch.from_grids([truth.to_grids()[0].from_dense(volume[0].numpy(), tolerance=9.0)])
+    assert coarse.n_leaves == 1 and coarse.features.item() == 0
+    flattered = (coarse.features - leaf_means(truth.structure, coarse.structure)(truth.features)).abs().mean()
+    assert flattered == 0
+    assert l1_loss(coarse, truth) == 1 == (dense.expand(coarse) - volume).abs().mean()
+    assert mad_mm(coarse, truth, 0.025) == 25
+
+
+def test_the_loss_does_not_clip_and_the_metric_does(make_batch) -> None:
+    truth = make_batch(0, channels=1)
+    truth = truth.with_features(torch.ones_like(truth.features))
+    beyond = truth.with_features(3 * truth.features)
+    assert l1_loss(beyond, truth) == 2
+    assert mad_mm(beyond, truth, 0.025) == 0
+
+
+def test_low_precision_is_compared_in_float32(make_batch) -> None:
+    x = make_batch(0, channels=1, dtype=torch.bfloat16)
+    assert l1_loss(x, x.to(dtype=torch.float32)).dtype == torch.float32
+
+
+def test_gradcheck(make_batch) -> None:
+    a, b = make_batch(1, (1, 1, 2), 2, 1), make_batch(2, (1, 1, 2), 2, 1, likelihood=0.8)
+    b = b.with_features(b.features.sigmoid())
+    features = a.features.requires_grad_()
+    for loss in (l1_loss, bce_loss):
+        assert torch.autograd.gradcheck(lambda f, loss=loss: loss(a.with_features(f), b), features,
+                                        fast_mode=True)
+
+
+def test_what_does_not_fit_is_refused(make_batch) -> None:
+    a = make_batch(0, channels=1)
+    with pytest.raises(OcnfError, match="differ in size"):
+        l1_loss(a, make_batch(0, (1, 1, 2), channels=1))
+    with pytest.raises(OcnfError, match="differ in channels"):
+        l1_loss(a, make_batch(0, channels=2))
+    with pytest.raises(OcnfError, match="expected mean or none"):
+        l1_loss(a, a, "sum")

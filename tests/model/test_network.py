@@ -1,0 +1,176 @@
+"""The network: its size by hand, its equality with a dense one, training stage by stage."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import torch
+from torch.nn.functional import conv3d, interpolate, linear, max_pool3d
+
+import ocnf_model
+from ocnf_data.errors import OcnfError
+from ocnf_model import OctNetFusion, OctreeBatch
+from ocnf_model.losses import bce_loss, l1_loss
+
+SMALL = {"encoding": "tsdf", "channels": (2, 3, 4)}
+
+
+@pytest.fixture
+def inputs(make_batch) -> list[OctreeBatch]:
+    """Two samples at 32^3 and 64^3, of different structures."""
+    torch.manual_seed(0)
+    return [make_batch(level, (4 << level,) * 3, 2, 1, 0.3, torch.float32) for level in range(2)]
+
+
+@pytest.mark.parametrize(("settings", "first", "later"), [
+    # first + down1 + down2 + bottom + up2 + up1 + head, all 27 in out + out
+    ({}, 4336 + 13856 + 83040 + 331968 + 138304 + 34592 + 17, 6912),
+    ({"join": "add"}, 4336 + 13856 + 83040 + 331968 + 83008 + 20768 + 17, 6912),
+    ({"carry": "reconstruction", "output": "occupancy"}, 606113 - 17 + 433, 432),
+    ({"encoding": "tdf_occupancy"}, 606113 - 8 * 432, 6912),
+])
+def test_number_of_parameters(settings, first, later) -> None:
+    network = OctNetFusion(**settings)
+    counts = [sum(p.numel() for p in level.parameters()) for level in network.levels]
+    assert counts == [first, first + later, first + later]
+    assert network.summary().splitlines()[-1].split() == ["all", f"{sum(counts):,}"]
+
+
+def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """A level on (B, C, D, H, W) volumes, with torch's own operations."""
+    def run(convs, x):
+        for conv in convs:
+            x = conv3d(x, conv.weight, conv.bias, padding=1).relu()
+        return x
+
+    def join(coarse, skipped):
+        up = interpolate(coarse, scale_factor=2, mode="nearest")
+        return torch.cat([up, skipped], 1) if level.join == "concat" else up + skipped
+
+    fine = run(level.down1, run(level.first, x))
+    middle = run(level.down2, max_pool3d(fine, 2))
+    deep = run(level.bottom, max_pool3d(middle, 2))
+    features = run(level.up1, join(run(level.up2, join(deep, middle)), fine))
+    if level.output == "occupancy":
+        return features, conv3d(features, level.head.weight, level.head.bias, padding=1)
+    raw = linear(features.movedim(1, -1), level.head.weight, level.head.bias).movedim(-1, 1)
+    return features, raw
+
+
+@pytest.mark.parametrize("settings", [
+    {"join": "concat", "carry": "features", "output": "tsdf"},
+    {"join": "add", "carry": "reconstruction", "output": "occupancy"},
+])
+def test_where_every_leaf_is_a_voxel_it_is_the_dense_network(settings) -> None:
+    torch.manual_seed(1)
+    network = OctNetFusion(**SMALL, levels=2, **settings).double()
+    volumes = [torch.randn(1, 1, side, side, side).double() for side in (32, 64)]
+    outputs = network.run([OctreeBatch.full(volume) for volume in volumes])
+    features, raw = dense_level(network.levels[0], volumes[0])
+    torch.testing.assert_close(outputs[0].raw.to_dense(), raw)
+    reconstruction = raw if settings["output"] == "tsdf" else raw.sigmoid()
+    carried = features if settings["carry"] == "features" else reconstruction
+    carried = interpolate(carried, scale_factor=2, mode="nearest")
+    _, raw = dense_level(network.levels[1], torch.cat([carried, volumes[1]], 1))
+    torch.testing.assert_close(outputs[1].raw.to_dense(), raw)
+
+
+@pytest.mark.parametrize("output", ["tsdf", "occupancy"])
+def test_a_stage_trains_its_own_level_only(output, inputs) -> None:
+    network = OctNetFusion(**SMALL, levels=2, output=output)
+    loss = l1_loss if output == "tsdf" else bce_loss
+    target = inputs[1].with_features(inputs[1].features.sigmoid())
+    result = network.run(inputs, frozen=1)[-1]
+    loss(result.raw, target).backward()
+    assert all(p.grad is None for p in network.levels[0].parameters())
+    assert all(p.grad is not None and p.grad.any() for p in network.levels[1].parameters() if p.ndim > 1)
+    assert torch.equal(result.reconstruction.features, network(inputs)[1].features)
+
+
+def test_the_loss_falls(inputs) -> None:
+    network = OctNetFusion("tsdf", levels=1, channels=(8, 8, 8))
+    optimiser = torch.optim.Adam(network.parameters(), 1e-2)
+    target = inputs[0].with_features(inputs[0].features.clamp(-1, 1))
+    losses = []
+    for _ in range(40):
+        optimiser.zero_grad()
+        loss = l1_loss(network(inputs[:1])[0], target)
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_checkpointing_and_grids_apart_change_nothing(inputs) -> None:
+    network = OctNetFusion(**SMALL, levels=2).double()
+    inputs = [x.to(dtype=torch.float64) for x in inputs]
+    parameters = list(network.parameters())
+    gradients = []
+    for on in (False, True):
+        network.set_checkpointing(on)
+        outputs = network(inputs)
+        gradients.append(torch.autograd.grad(sum(x.features.square().sum() for x in outputs), parameters))
+    torch.testing.assert_close(gradients[0], gradients[1])
+    alone = [OctreeBatch.from_grids(x.to_grids()[1:]).to(dtype=torch.float64) for x in inputs]
+    n_leaves = network(alone)[1].n_leaves
+    torch.testing.assert_close(network(alone)[1].features, outputs[1].features[-n_leaves:], rtol=1e-5,
+                               atol=1e-5)
+
+
+def test_a_later_level_starts_from_the_one_before() -> None:
+    network = OctNetFusion(**SMALL, levels=2)
+    assert network.start_from_previous(1) == ["first.0.weight"]
+    before, after = (network.levels[i].state_dict() for i in (0, 1))
+    assert all(torch.equal(before[name], after[name]) for name in before if name != "first.0.weight")
+    with pytest.raises(OcnfError, match="no level before"):
+        network.start_from_previous(0)
+
+
+def test_mixed_precision(inputs) -> None:
+    network = OctNetFusion(**SMALL, levels=2)
+    with torch.autocast("cpu", torch.bfloat16):
+        result = network.run(inputs)[-1]
+        loss = l1_loss(result.raw, inputs[1])
+    assert loss.dtype == torch.float32 and result.raw.features.dtype == torch.bfloat16
+    loss.backward()
+    trained = [p for name, p in network.named_parameters() if "levels.0.head" not in name]
+    assert all(p.grad is not None and p.grad.isfinite().all() for p in trained)
+
+
+def test_a_fourth_level_runs(make_batch) -> None:
+    network = OctNetFusion(**SMALL, levels=4)
+    inputs = [make_batch(level, (4 << level,) * 3, 1, 1, 0.02, torch.float32) for level in range(4)]
+    with torch.no_grad():
+        assert [x.shape[0] for x in network(inputs)] == [32, 64, 128, 256]
+
+
+@pytest.mark.parametrize(("call", "message"), [
+    (lambda n, x: n([]), "found 0, expected 1 to 2"),
+    (lambda n, x: n([*x, x[1]]), "found 3, expected 1 to 2"),
+    (lambda n, x: n(x[::-1]), r"inputs\[1\]: sizes do not fit; found 2 of 32x32x32, expected 2 of 128"),
+    (lambda n, x: n([x[0].with_features(x[0].features.repeat(1, 2))]), "found 2, expected 1 for tsdf"),
+    (lambda n, x: n([OctreeBatch.full(torch.zeros(1, 1, 16, 32, 32))]), "multiples of 32"),
+    (lambda n, x: OctNetFusion(encoding="mesh"), "encoding: no such setting; found mesh, expected occupancy"),
+    (lambda n, x: OctNetFusion(join="sum"), "join: no such setting"),
+    (lambda n, x: OctNetFusion(levels=0), "at least 1"),
+    (lambda n, x: OctNetFusion(channels=(1, 2)), "three positive numbers"),
+])
+def test_what_does_not_fit_is_refused(call, message, inputs) -> None:
+    with pytest.raises(OcnfError, match=message):
+        call(OctNetFusion(**SMALL, levels=2), inputs)
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    names = ("trimesh", "pyrender", "OpenGL", "skimage", "cv2", "h5py", "matplotlib")
+    everything = "from ocnf_model import *; import ocnf_model.losses, ocnf_model.metrics"
+    code = f"import sys; {everything}; print([n for n in {names!r} if n in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                          check=True).stdout.strip() == "[]"
+    code = "import sys, ocnf_model; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                          check=True).stdout.strip() == "False"
+    assert all(getattr(ocnf_model, name) is not None for name in ocnf_model.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        ocnf_model.nonsense  # noqa: B018
