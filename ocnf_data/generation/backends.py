@@ -7,10 +7,13 @@ does, ends what it started; on an error or Ctrl-C that does not wait for shards 
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import signal
 import threading
+import time
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
@@ -22,6 +25,7 @@ Finished = Generator[ShardDone, None, None]
 # A worker process (not the child its items run in) that dies, of the out-of-memory killer say, costs its
 # shards a new try; this many deaths with nothing finished in between end the run.
 _MAX_DEATHS = 3
+_WATCH_SECONDS = 0.5
 _LOGS = "look at the workers' logs: it is mostly memory that runs out"
 
 
@@ -63,9 +67,10 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
     finished = False
     try:
         while left:
-            parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered", batch_size=1,
-                                pre_dispatch="2*n_jobs", max_nbytes=None)
-            results = parallel(delayed(_shard_or_error)(task, os.getpid()) for task in list(left.values()))
+            # With a single job joblib would work in this process.
+            parallel = Parallel(n_jobs=max(2, min(jobs, len(left))), backend="loky", batch_size=1,
+                                pre_dispatch="2*n_jobs", max_nbytes=None, return_as="generator_unordered")
+            results = parallel([delayed(_shard_or_error)(task, os.getpid()) for task in left.values()])
             try:
                 for result in results:
                     done = _raised(result)
@@ -77,9 +82,14 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
                 if deaths >= _MAX_DEATHS:
                     raise OcnfError(f"worker processes keep dying ({type(error).__name__})", code="workers",
                                     fix="run with fewer --jobs: it is mostly memory that runs out") from error
+            finally:
+                with warnings.catch_warnings():
+                    warnings.filterwarnings("ignore", message=".*have been cancelled")
+                    results.close()  # left early, it kills the workers
         finished = True
     finally:
-        get_reusable_executor().shutdown(wait=True, kill_workers=not finished)
+        # Not `reuse="auto"`: replacing the executor would wait for the shards in the making.
+        get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=not finished)
 
 
 def _dask(tasks: Sequence[ShardTask], jobs: int) -> Finished:
@@ -144,10 +154,27 @@ def _shard_or_error(task: ShardTask, driver: int) -> ShardDone | OcnfError:
     if os.getpid() != driver and threading.current_thread() is threading.main_thread():
         # Ctrl-C reaches the whole foreground group; the driver decides what becomes of the workers.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if os.getppid() == driver:  # loky; clusters look after their workers themselves
+            _end_with(driver)
     try:
         return make_shard(task)
     except OcnfError as error:
         return error
+
+
+@functools.cache
+def _end_with(driver: int) -> None:
+    """End this worker when its driver is killed: what it goes on with could land in a later run's folder.
+
+    Not by the system's signal on a parent's death, which comes when the *thread* that started us ends.
+    """
+
+    def watch() -> None:
+        while os.getppid() == driver:
+            time.sleep(_WATCH_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="watch the driver", daemon=True).start()
 
 
 def _raised(result: ShardDone | OcnfError) -> ShardDone:

@@ -75,6 +75,18 @@ def test_retry_failed_makes_just_their_shards(meshes, define, tmp_path, fake, co
     assert contents(out) == contents(tmp_path / "whole"), "as if it had never failed"
 
 
+def test_lost_failure_rows_are_found_again(meshes, define, tmp_path, fake, contents) -> None:
+    """A shard whose rows are gone does not account for its items any more, so it is not done."""
+    root, out = meshes([*(f"ok_{i}" for i in range(5)), "refuse_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    (side,) = out.glob("failures/*.jsonl")
+    side.unlink()
+    (out / "failures.jsonl").unlink()
+    assert generate(define(), out, root, progress=False).made in (2, 4)
+    assert contents(out) == before
+
+
 def test_a_file_that_cannot_be_read_is_a_row(define, meshes, tmp_path) -> None:
     """With the real maker: a folder with a mesh's name is found while planning, and reported by its item."""
     root, out = meshes(["a"]), tmp_path / "out"

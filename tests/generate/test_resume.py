@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -30,6 +31,17 @@ def start(manifest: Path, out: Path, root: Path, jobs: int) -> subprocess.Popen[
 def finish(run: subprocess.Popen[str]) -> str:
     output, _ = run.communicate(timeout=120)
     return output
+
+
+def running(group: int) -> list[str]:
+    """The processes of a process group that have not ended (Linux)."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it ended while we looked
+            state, _, its_group = path.read_text().rpartition(") ")[2].split()[:3]
+            if int(its_group) == group and state != "Z":
+                found.append(path.parent.name)
+    return found
 
 
 @pytest.fixture
@@ -86,14 +98,37 @@ def test_ctrl_c_leaves_a_resumable_state_and_says_so(job, tmp_path, contents, fa
     assert contents(out) == contents(tmp_path / "uninterrupted")
 
 
-def test_trouble_in_mid_shard_leaves_no_partial_shard(meshes, define, tmp_path, contents, fake) -> None:
-    root = meshes([*(f"ok_{i}" for i in range(7)), "full-unfixed_1"])
+def test_workers_end_with_their_driver(job, tmp_path, fake) -> None:
+    """Only the driver is killed: a worker that went on could write into the folder of a later run."""
+    manifest, root = job
+    run = start(manifest, tmp_path / "killed", root, 2)
+    while not list((tmp_path / "killed").glob("train/*.json")):
+        time.sleep(0.02)
+    assert len(running(run.pid)) > 2
+    run.kill()
+    finish(run)
+    deadline = time.monotonic() + 20
+    while running(run.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert running(run.pid) == []
+
+
+def test_more_jobs_than_shards(job, tmp_path, fake) -> None:
+    manifest, root = job
+    assert generate(manifest, tmp_path / "out", root, 10_000_000, progress=False).samples == 22
+
+
+@pytest.mark.parametrize(("jobs", "backend"), [(1, "loky"), (2, "loky"), (2, "dask")])
+def test_trouble_in_mid_shard_leaves_no_partial_shard(
+        meshes, define, tmp_path, contents, fake, jobs, backend) -> None:
+    """The disk is full for one item, while others are being made and more are waiting."""
+    root = meshes([*(f"slow_{i}" for i in range(23)), "full-unfixed_1"])
     out = tmp_path / "out"
     with pytest.raises(OcnfError, match="disk is full") as caught:
-        generate(define(), out, root, progress=False)
+        generate(define(), out, root, jobs, backend, progress=False)
     assert caught.value.code == "disk_full"
     assert not [path for path in out.rglob("*") if path.name.startswith((".tmp", ".lock", ".progress"))]
-    assert len(list(out.glob("train/*.tar"))) == len(list(out.glob("train/*.json"))) < 2
+    assert len(list(out.glob("train/*.tar"))) == len(list(out.glob("train/*.json"))) < 6
     assert not (out / "dataset.json").exists()
     (root / ".fixed").touch()
     generate(define(), out, root, progress=False)
