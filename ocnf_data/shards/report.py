@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Column, Table
 
 from ocnf_data.shards.dataset import DatasetInfo
 from ocnf_data.shards.index import is_shard
@@ -33,6 +31,13 @@ class Problem:
     key: str | None = None
     member: str | None = None
     offset: int | None = None
+
+    def __str__(self) -> str:
+        """`train/shard-000007.tar: chair_0001.target-64.oct at byte 1536: checksum: the payload has ...`."""
+        subject = ".".join(part for part in (self.key, self.member) if part)
+        place = "" if self.offset is None else f"at byte {self.offset}"
+        parts = (self.file, f"{subject} {place}".strip(), self.code, self.what)
+        return ": ".join(part for part in parts if part)
 
 
 @dataclass
@@ -73,12 +78,8 @@ def print_verify(report: VerifyReport, console: Console) -> int:
     if report.ok:
         console.print(f"[green]whole[/]: {looked}", highlight=False)
         return 0
-    whole = [Column(name, no_wrap=True) for name in ("file", "sample", "member", "byte", "code")]
-    table = Table(*whole, "what is wrong", box=None, pad_edge=False)
-    for problem in report.problems[:_MOST_ROWS]:
-        cells = (problem.file, problem.key, problem.member, problem.offset, problem.code, problem.what)
-        table.add_row(*("" if cell is None else escape(str(cell)) for cell in cells))
-    console.print(table)
+    for problem in report.problems[:_MOST_ROWS]:  # lines: a table cuts names in a narrow terminal or a log
+        console.print(str(problem), markup=False, highlight=False, soft_wrap=True)
     if len(report.problems) > _MOST_ROWS:
         console.print(f"... and {len(report.problems) - _MOST_ROWS} more", highlight=False)
     console.print(f"[red]{len(report.problems)} problems[/] in {looked}", highlight=False)
