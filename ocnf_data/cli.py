@@ -6,6 +6,7 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
                   help="Grid-octree training data from meshes: generate, verify, look at, mend.")
-_out = Console()
-_err = Console(stderr=True)
+_out = Console(emoji=False)  # `shapes:airplane:train:1` is a name
+_err = Console(stderr=True, emoji=False)
 _debug = False
 
 
@@ -78,6 +79,7 @@ def generate(
     from ocnf_data.generation import Interrupted
     from ocnf_data.generation import generate as run
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems' way to say Ctrl-C
     try:
         report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     except Interrupted as stop:
@@ -121,24 +123,33 @@ def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     A shard that comes out different from what dataset.json vouches for is an error. Nothing is deleted.
     """
     from ocnf_data.generation import generate as run
+    from ocnf_data.generation.plan import make_plan
+    from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
     from ocnf_data.shards.repair import find_damaged, quarantine, restore_index
+    from ocnf_data.storage import Store
 
-    definition = load_dataset(folder).manifest
+    manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
         damaged = find_damaged(folder, jobs, progress)
+    if not damaged:
+        _out.print("[green]no shard is damaged[/]")
+    lost = []
     for shard in damaged:
         _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
         if restore_index(folder, shard.split, shard.shard):
             _out.print("  the tar is whole, its index was written anew", highlight=False)
         else:
-            for name in quarantine(folder, shard.path):
-                _out.print(f"  set aside as {name}", highlight=False)
-    if not damaged:
-        _out.print("[green]no shard is damaged[/]")
+            lost.append(shard)
+    if not lost:
         return
-    _out.print(run(Manifest.from_dict(definition), folder, meshes, jobs).table())
+    # Whatever stands in the way of making them again is said before anything is set aside.
+    adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
+    for shard in lost:
+        for name in quarantine(folder, shard.path):
+            _out.print(f"set aside as {name}", highlight=False)
+    _out.print(run(manifest, folder, meshes, jobs).table())
 
 
 @app.command()
@@ -156,7 +167,8 @@ def watertight(
     jobs: Jobs,
     resolution: Annotated[int, typer.Option(min=8, max=1024, help="Voxels along the cube.")] = 256,
     level: Annotated[float, typer.Option(
-        help="Where to cut, in truncations; 0.2 to 0.5 keeps sheets and wires by thickening all.")] = 0.0,
+        help="How far outside of the measured surface to cut, in truncations: the default, half a voxel, "
+             "keeps sheets and wires whole; 0 thickens nothing, and tears them.")] = 0.25,
     suffix: Annotated[str, typer.Option(help="Format in a folder: .ply, .obj, .off or .stl.")] = ".ply",
 ) -> None:
     """Make meshes watertight: an 80-view TSDF, cut by marching cubes, in the mesh's own coordinates."""
@@ -165,7 +177,8 @@ def watertight(
     with _Bar("watertight") as progress:
         report = watertight_path(source, out, resolution, jobs, level, suffix, progress)
     for path, error in report.failures:
-        _err.print(f"[red]{_escaped(str(path))}:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
+        sentence = str(error) if error.where == str(path) else f"{path}: {error}"
+        _err.print(f"[red]error:[/] {_escaped(sentence)}", highlight=False, soft_wrap=True)
     _out.print(f"{len(report.written)} written, {len(report.failures)} failed", highlight=False)
     raise typer.Exit(1 if report.failures else 0)
 

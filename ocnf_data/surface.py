@@ -32,6 +32,9 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     Returns:
         vertices (N, 3) in metres, x y z, and faces (M, 3); both empty where nothing is below `level`.
     """
+    if not -1 < level < 1:  # NaN is refused too
+        raise OcnfError("not a level between inside and free", where="octree_surface", field="level",
+                        found=level, expected="more than -1 and less than 1 truncation")
     if octree.channels != 1:
         raise OcnfError("not a TSDF", where="octree_surface", found=f"{octree.channels} channels", expected=1)
     try:

@@ -111,6 +111,8 @@ def watertight_path(source: str | os.PathLike[str], out: str | os.PathLike[str],
 
 def _tasks(source: Path, out: Path, suffix: str) -> list[tuple[Path, Path]]:
     """Which file goes where; files of one folder whose names differ in the suffix alone keep it."""
+    if not source.exists():
+        raise OcnfError("no such file or folder", code="missing", where=source)
     if not source.is_dir():
         to_folder = out.is_dir() or out.suffix == ""
         tasks = [(source, out / f"{source.stem}{suffix}" if to_folder else out)]

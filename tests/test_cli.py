@@ -147,4 +147,32 @@ def test_watertight(tmp_path) -> None:
     result = ocnf("watertight", source, out, "--resolution", 64, "--jobs", 1)
     assert result.status == 0, result.err
     assert out.stat().st_size > 1000
-    assert ocnf("watertight", tmp_path / "nothing.off", out).status == 1
+    for name in ("nothing.off", "nothing", "shapes:airplane:1.off"):  # the last is not to become an emoji
+        result = ocnf("watertight", tmp_path / name, out)
+        assert (result.status, result.err) == (1, f"error: {tmp_path / name}: no such file or folder\n")
+    source.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 2 1\n")  # a sheet: the command keeps it, too
+    assert ocnf("watertight", source, out, "--resolution", 64, "--jobs", 1).status == 0
+    source.write_text("garbage")
+    result = ocnf("watertight", source, out, "--jobs", 1)
+    assert result.status == 1
+    assert result.err.count(str(source)) == 1
+
+
+def test_repair_sets_nothing_aside_that_it_cannot_make_again(tmp_path) -> None:
+    meshes, out = tmp_path / "meshes/chair/train", tmp_path / "set"
+    meshes.mkdir(parents=True)
+    (meshes / "a.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 2 1\n")
+    manifest = tmp_path / "tiny.yaml"
+    source = {"kind": "modelnet", "categories": ["chair"], "counts": {"train": "all"}}
+    manifest.write_text(json.dumps({**MANIFEST, "source": source}))
+    command = ("generate", manifest, "--out", out, "--meshes", tmp_path / "meshes", "--jobs", 1)
+    assert ocnf(*command).status == 0
+    shard = out / "train/shard-000000.tar"
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[:-1])
+    result = ocnf("repair", out, "--jobs", 1)
+    assert result.status == 1
+    assert "--meshes ROOT" in result.err
+    assert shard.read_bytes() == whole[:-1]
+    assert ocnf("repair", out, "--jobs", 1, "--meshes", tmp_path / "meshes").status == 0
+    assert shard.read_bytes() == whole

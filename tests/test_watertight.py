@@ -111,7 +111,11 @@ def test_what_cannot_be_done_is_said(tmp_path):
     (tmp_path / "none").mkdir()
     with pytest.raises(OcnfError, match="holds no mesh"):
         watertight_path(tmp_path / "none", tmp_path / "out")
-    report = watertight_path(tmp_path / "missing.off", tmp_path / "out.ply")
-    assert [e.code for _, e in report.failures] == ["unreadable"]
+    for missing in ("missing.off", "missing"):
+        with pytest.raises(OcnfError, match="no such file or folder"):
+            watertight_path(tmp_path / missing, tmp_path / "out.ply")
+    for level in (-1, 1, 5, float("nan")):
+        with pytest.raises(OcnfError, match="level"):
+            make_watertight(part.vertices, part.faces, RESOLUTION, level)
     with pytest.raises(OcnfError, match="resolution"):
         make_watertight(part.vertices, part.faces, 100)
