@@ -45,22 +45,30 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ocnf_data.generation.supervisor.DEFAULT_MAKER", "fake_makers:maker")
 
 
+@pytest.fixture(scope="session")
+def write_meshes() -> Callable[[Path, Sequence[str]], None]:
+    """Fill a folder with files of these names, each an octahedron of its own."""
+
+    def write(folder: Path, names: Sequence[str]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        for i, name in enumerate(names):
+            (folder / f"{name}.off").write_text(OCTAHEDRON.format(height=1 + i))
+
+    return write
+
+
 @pytest.fixture
-def meshes(tmp_path: Path) -> Meshes:
-    """Make a folder `meshes/chair/train/` with files of these names, each an octahedron of its own."""
+def meshes(tmp_path: Path, write_meshes: Callable[[Path, Sequence[str]], None]) -> Meshes:
+    """Make a folder `meshes` with files of these names in `chair/train`."""
 
     def make(names: Sequence[str], category: str = "chair", folder: str = "train") -> Path:
-        root = tmp_path / "meshes"
-        place = root / category / folder
-        place.mkdir(parents=True, exist_ok=True)
-        for i, name in enumerate(names):
-            (place / f"{name}.off").write_text(OCTAHEDRON.format(height=1 + i))
-        return root
+        write_meshes(tmp_path / "meshes" / category / folder, names)
+        return tmp_path / "meshes"
 
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def define() -> Define:
     """A manifest of every mesh in `chair/train`, at 64^3 from 8 small views; arguments replace fields."""
 
@@ -79,7 +87,7 @@ def define() -> Define:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def contents() -> Callable[[Path], dict[str, bytes]]:
     """Every file of a data set but the timings, by name."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -13,13 +14,20 @@ from ocnf_data.shards.verify import verify
 from ocnf_data.storage import Store
 
 
-@pytest.fixture
-def serial(meshes, define, tmp_path, contents) -> dict[str, bytes]:
-    """What one process makes, with the real maker."""
-    report = generate(define(), tmp_path / "serial", meshes("abcdefghi"), progress=False)
-    assert report.samples == 9
-    assert verify(str(tmp_path / "serial")).ok
-    return contents(tmp_path / "serial")
+class Made(NamedTuple):
+    """What one process makes of some meshes, with the real maker."""
+
+    root: Path
+    files: dict[str, bytes]
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory, write_meshes, define, contents) -> Made:
+    root, out = tmp_path_factory.mktemp("meshes"), tmp_path_factory.mktemp("serial")
+    write_meshes(root / "chair/train", "abcdefghi")
+    assert generate(define(), out, root, progress=False).samples == 9
+    assert verify(str(out)).ok
+    return Made(root, contents(out))
 
 
 @pytest.mark.parametrize("backend", [
@@ -30,21 +38,21 @@ def serial(meshes, define, tmp_path, contents) -> dict[str, bytes]:
 def test_every_backend_makes_the_same_bytes(serial, define, tmp_path, contents, backend) -> None:
     pytest.importorskip({"loky": "joblib", "dask": "distributed", "ray": "ray"}[backend])
     out = tmp_path / backend
-    generate(define(), f"file://{out}", tmp_path / "meshes", 2, backend, progress=False)
-    assert contents(out) == serial
+    generate(define(), f"file://{out}", serial.root, 2, backend, progress=False)
+    assert contents(out) == serial.files
 
 
-def test_to_s3_with_two_workers(serial, define, tmp_path, s3_url) -> None:
-    generate(define(), f"{s3_url}/set", tmp_path / "meshes", 2, progress=False)
+def test_to_s3_with_two_workers(serial, define, s3_url) -> None:
+    generate(define(), f"{s3_url}/set", serial.root, 2, progress=False)
     store = Store(f"{s3_url}/set")
-    assert {name: store.read_bytes(name) for name in store.list() if "timings" not in name} == serial
-    assert generate(define(), f"{s3_url}/set", tmp_path / "meshes", progress=False).made == 0
+    assert {name: store.read_bytes(name) for name in store.list() if "timings" not in name} == serial.files
+    assert generate(define(), f"{s3_url}/set", serial.root, progress=False).made == 0
 
 
-def test_to_memory_with_one_job(serial, define, tmp_path) -> None:
-    generate(define(), "memory://set", tmp_path / "meshes", progress=False)
+def test_to_memory_with_one_job(serial, define) -> None:
+    generate(define(), "memory://set", serial.root, progress=False)
     store = Store("memory://set")
-    assert {name: store.read_bytes(name) for name in store.list() if "timings" not in name} == serial
+    assert {name: store.read_bytes(name) for name in store.list() if "timings" not in name} == serial.files
 
 
 @pytest.mark.parametrize(("jobs", "backend"), [(2, "loky"), (1, "dask")])
