@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import os
 from collections.abc import Iterator
 
 from ocnf_data.errors import OcnfError
@@ -30,9 +31,15 @@ def exclusive(store: Store) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise OcnfError("another run is writing here", code="busy", where=store.url,
-                            fix="wait until it is done, or stop it") from None
+            raise _busy(store) from None
+        if not path.exists() or not os.path.samestat(path.stat(), os.fstat(lock.fileno())):
+            raise _busy(store)  # it ended as we came and took the file away, so this lock keeps nobody out
         try:
             yield
         finally:
             path.unlink(missing_ok=True)
+
+
+def _busy(store: Store) -> OcnfError:
+    return OcnfError("another run is writing here", code="busy", where=store.url,
+                     fix="wait until it is done, or stop it")

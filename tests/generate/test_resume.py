@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import random
@@ -257,3 +258,17 @@ def test_two_runs_at_once_are_refused(job, tmp_path, fake) -> None:
         generate(manifest, out, root, progress=False)
     os.killpg(run.pid, signal.SIGKILL)
     finish(run)
+
+
+def test_a_lock_whose_file_is_gone_keeps_nobody_out(meshes, define, tmp_path, fake, monkeypatch) -> None:
+    """Another run ends, and removes the file, between our opening it and locking it."""
+    out = tmp_path / "out"
+    lock = fcntl.flock
+
+    def late(file, how) -> None:
+        (out / ".lock").unlink()
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(OcnfError, match="another run"):
+        generate(define(), out, meshes(["ok_1"]), progress=False)
