@@ -145,7 +145,7 @@ def _run(tasks: list[tuple[Path, Path]], resolution: int, level: float,
         raise OcnfError("several jobs need joblib", code="missing_extra",
                         fix="pip install 'ocnf[generate]'") from error
     # loky gives each worker its share of the cores' threads.
-    parallel = joblib.Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
+    parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)), backend="loky", return_as="generator_unordered")
     yield from parallel(joblib.delayed(_one)(path, target, resolution, level) for path, target in tasks)
 
 

@@ -81,7 +81,7 @@ def test_one_file(tmp_path, suffix):
     assert list(out.parent.iterdir()) == [out]  # nothing temporary is left
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, 2, 10_000_000])
 def test_a_folder_with_a_bad_file(tmp_path, jobs):
     part = box(1, 2, 3)
     source, out = tmp_path / "in", tmp_path / "out"
