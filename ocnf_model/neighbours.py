@@ -83,25 +83,27 @@ def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int])
 
 
 @njit(cache=True, nogil=True)
+def _halo_range(d: int) -> tuple[int, int]:
+    """Halo coordinates, those of the tree plus 1, of the tree's neighbour at d = -1, 0, 1."""
+    return (0, 1) if d < 0 else (1, 9) if d == 0 else (9, 10)
+
+
+@njit(cache=True, nogil=True)
 def _paint_halo(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: npt.NDArray[np.int32],
-    widths: npt.NDArray[np.int32],
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: Indices, widths: Indices
 ) -> None:
     """Leaf and leaf width at the 10^3 voxels in and around tree `t`; leaf -1 outside the grid."""
     b, gd, gh, gw = tree_place(t, grid)
     for dz in range(-1, 2):
-        z0, z1 = (0, 1) if dz < 0 else (1, 9) if dz == 0 else (9, 10)
         for dy in range(-1, 2):
-            y0, y1 = (0, 1) if dy < 0 else (1, 9) if dy == 0 else (9, 10)
             for dx in range(-1, 2):
-                x0, x1 = (0, 1) if dx < 0 else (1, 9) if dx == 0 else (9, 10)
                 u = tree_at(b, gd + dz, gh + dy, gw + dx, grid)
                 single = u < 0 or not is_split(trees[u, 0], trees[u, 1], 0)
                 leaf, width = (-1, 1) if u < 0 else (0, 8)
                 first = 0 if u < 0 else prefix[u]
-                for z in range(z0, z1):
-                    for y in range(y0, y1):
-                        for x in range(x0, x1):
+                for z in range(*_halo_range(dz)):
+                    for y in range(*_halo_range(dy)):
+                        for x in range(*_halo_range(dx)):
                             if not single:
                                 leaf, width = leaf_of_voxel(trees[u, 0], trees[u, 1], (z - 1) % 8,
                                                             (y - 1) % 8, (x - 1) % 8)
@@ -116,18 +118,25 @@ def _overlap(low: int, high: int, start: int, width: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _neighbours_of(
-    cell: npt.NDArray[np.int16], leaves: npt.NDArray[np.int32], widths: npt.NDArray[np.int32],
-    found: npt.NDArray[np.int32],
-) -> int:
-    """The leaves that touch a leaf, itself included: their number n.
+def _add_overlap(found: Indices, n: int, leaf: int, z: int, y: int, x: int, wide: int, z0: int, y0: int,
+                 x0: int, w: int) -> None:
+    """Row `n` of `found`: a leaf of width `wide` at (z, y, x), against one of width `w` at (z0, y0, x0).
 
-    Writes to `found` (1000, 10) rows (leaf, overlap along z at kz = 0, 1, 2, along y, along x). The overlap
-    at (kz, ky, kx) is the product of the three.
+    The row is (leaf, overlap along z at kz = 0, 1, 2, along y, along x); corners are halo coordinates, the
+    second one's 1 less, so that offset k moves it by k.
     """
+    found[n, 0] = leaf
+    for k in range(3):
+        found[n, 1 + k] = _overlap(z, z + wide, z0 + k, w)
+        found[n, 4 + k] = _overlap(y, y + wide, y0 + k, w)
+        found[n, 7 + k] = _overlap(x, x + wide, x0 + k, w)
+
+
+@njit(cache=True, nogil=True)
+def _around_leaf(cell: npt.NDArray[np.int16], leaves: Indices, widths: Indices, found: Indices) -> int:
+    """Rows of `found` (1000, 10) for the leaves that touch a leaf, itself included: how many there are."""
     w = cell[3]
     n = 0
-    # Halo coordinates are those of the tree plus 1: leaves are aligned to multiples of their width, plus 1.
     for z in range(cell[0], cell[0] + w + 2):
         for y in range(cell[1], cell[1] + w + 2):
             for x in range(cell[2], cell[2] + w + 2):
@@ -136,14 +145,41 @@ def _neighbours_of(
                 wide = widths[z, y, x]
                 z0, y0, x0 = ((z - 1) & -wide) + 1, ((y - 1) & -wide) + 1, ((x - 1) & -wide) + 1
                 # Each leaf counts once, at its lowest voxel within reach.
-                if z != max(z0, cell[0]) or y != max(y0, cell[1]) or x != max(x0, cell[2]):
+                if z == max(z0, cell[0]) and y == max(y0, cell[1]) and x == max(x0, cell[2]):
+                    _add_overlap(found, n, leaves[z, y, x], z0, y0, x0, wide, cell[0], cell[1], cell[2], w)
+                    n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _around_tree(
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, found: Indices
+) -> int:
+    """As `_around_leaf` for a tree of one leaf: most of its neighbours are such trees too."""
+    b, gd, gh, gw = tree_place(t, grid)
+    n = 0
+    for dz in range(-1, 2):
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                u = tree_at(b, gd + dz, gh + dy, gw + dx, grid)
+                if u < 0:
                     continue
-                found[n, 0] = leaves[z, y, x]
-                for k in range(3):
-                    found[n, 1 + k] = _overlap(z0, z0 + wide, cell[0] + k, w)
-                    found[n, 4 + k] = _overlap(y0, y0 + wide, cell[1] + k, w)
-                    found[n, 7 + k] = _overlap(x0, x0 + wide, cell[2] + k, w)
-                n += 1
+                if not is_split(trees[u, 0], trees[u, 1], 0):
+                    _add_overlap(found, n, prefix[u], 8 * dz + 1, 8 * dy + 1, 8 * dx + 1, 8, 0, 0, 0, 8)
+                    n += 1
+                    continue
+                z_low, z_high = _halo_range(dz)
+                y_low, y_high = _halo_range(dy)
+                x_low, x_high = _halo_range(dx)
+                for z in range(z_low, z_high):
+                    for y in range(y_low, y_high):
+                        for x in range(x_low, x_high):
+                            leaf, wide = leaf_of_voxel(trees[u, 0], trees[u, 1], (z - 1) % 8, (y - 1) % 8,
+                                                       (x - 1) % 8)
+                            z0, y0, x0 = ((z - 1) & -wide) + 1, ((y - 1) & -wide) + 1, ((x - 1) & -wide) + 1
+                            if z == max(z0, z_low) and y == max(y0, y_low) and x == max(x0, x_low):
+                                _add_overlap(found, n, prefix[u] + leaf, z0, y0, x0, wide, 0, 0, 0, 8)
+                                n += 1
     return n
 
 
@@ -152,26 +188,27 @@ def count_irregular(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: npt.NDArray[np.bool_],
     rank: npt.NDArray[np.int64], counts: npt.NDArray[np.int64],
 ) -> None:
-    """Write the number of entries of each row (i, k) of the irregular leaves to `counts` (27 I,)."""
+    """Add the number of entries of each row (i, k) of the irregular leaves to `counts` (27 I,)."""
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
-        if regular[prefix[t] : prefix[t] + n].all():
-            continue
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
         found = np.empty((HALO**3, 10), np.int32)
-        _paint_halo(trees, prefix, grid, t, leaves, widths)
+        if n > 1:
+            _paint_halo(trees, prefix, grid, t, leaves, widths)
         for cell in range(n):
             leaf = prefix[t] + cell
             if regular[leaf]:
                 continue
             row = N_OFFSETS * (leaf - rank[leaf])
-            n_found = _neighbours_of(cells[cell], leaves, widths, found)
-            for k in range(N_OFFSETS):
-                count = 0
-                for m in range(n_found):
-                    count += (found[m, 1 + k // 9] * found[m, 4 + k // 3 % 3] * found[m, 7 + k % 3]) > 0
-                counts[row + k] = count
+            n_found = _around_leaf(cells[cell], leaves, widths, found) if n > 1 \
+                else _around_tree(trees, prefix, grid, t, found)
+            for m in range(n_found):
+                for kz in range(3):
+                    for ky in range(3):
+                        if found[m, 1 + kz] * found[m, 4 + ky] > 0:
+                            for kx in range(3):
+                                counts[row + 9 * kz + 3 * ky + kx] += found[m, 7 + kx] > 0
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -188,7 +225,8 @@ def fill(
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
         found = np.empty((HALO**3, 10), np.int32)
-        _paint_halo(trees, prefix, grid, t, leaves, widths)
+        if n > 1:
+            _paint_halo(trees, prefix, grid, t, leaves, widths)
         for cell in range(n):
             leaf = prefix[t] + cell
             z, y, x, w = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
@@ -197,14 +235,20 @@ def fill(
                 for k in range(N_OFFSETS):
                     row[k] = leaves[z + k // 9, y + k // 3 % 3, x + k % 3]
                 continue
+            n_found = _around_leaf(cells[cell], leaves, widths, found) if n > 1 \
+                else _around_tree(trees, prefix, grid, t, found)
             first = N_OFFSETS * (leaf - rank[leaf])
-            n_found = _neighbours_of(cells[cell], leaves, widths, found)
-            for k in range(N_OFFSETS):
-                entry = starts[first + k]
-                for m in range(n_found):
-                    voxels = found[m, 1 + k // 9] * found[m, 4 + k // 3 % 3] * found[m, 7 + k % 3]
-                    if voxels > 0:
-                        columns[entry] = found[m, 0]
-                        weights[entry] = voxels / (w * w * w)
-                        entry += 1
+            cursor = starts[first : first + N_OFFSETS].copy()
+            for m in range(n_found):
+                for kz in range(3):
+                    for ky in range(3):
+                        area = found[m, 1 + kz] * found[m, 4 + ky]
+                        if area == 0:
+                            continue
+                        for kx in range(3):
+                            if found[m, 7 + kx] > 0:
+                                k = 9 * kz + 3 * ky + kx
+                                columns[cursor[k]] = found[m, 0]
+                                weights[cursor[k]] = area * found[m, 7 + kx] / (w * w * w)
+                                cursor[k] += 1
     return table, columns, weights

@@ -24,6 +24,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.leafmap import sparse_product
 from ocnf_model.neighbours import N_OFFSETS, Neighbours
 from ocnf_model.octree import OctreeBatch
+from ocnf_model.ops.gemm import linear
 from ocnf_model.structure import Structure
 
 # Elements of the gathered buffer: 7 MB of float32 on a CPU, where it should stay in the cache between the
@@ -102,12 +103,11 @@ class _Convolution(torch.autograd.Function):
         ctx.structure = structure
         neighbours = structure.table(Neighbours.build, features.device)
         features = features.contiguous()
-        # (27 C_in, C_out), rows in the order of the buffer: offsets, then channels.
-        matrix = weight.permute(2, 3, 4, 1, 0).reshape(-1, len(weight))
+        # (C_out, 27 C_in), columns in the order of the buffer: offsets, then channels.
+        matrix = weight.permute(0, 2, 3, 4, 1).reshape(len(weight), -1)
         result = features.new_empty(len(features), len(weight))
         for leaves, gathered in _gather(neighbours, features):
-            rows = gathered @ matrix if bias is None else torch.addmm(bias, gathered, matrix)
-            result.index_copy_(0, leaves, rows)
+            result.index_copy_(0, leaves, linear(gathered, matrix, bias))
         return result
 
     @staticmethod
@@ -122,17 +122,17 @@ class _Convolution(torch.autograd.Function):
                                   dtype=torch.promote_types(grad.dtype, torch.float32))
         if wants_features or wants_weight:
             neighbours = ctx.structure.table(Neighbours.build, features.device)
-            # (27 C_out, C_in): h_k comes from the offset opposite to k.
-            matrix = weight.flip(2, 3, 4).permute(2, 3, 4, 0, 1).reshape(-1, weight.shape[1])
+            # (C_in, 27 C_out): h_k comes from the offset opposite to k.
+            matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
             volumes = ctx.structure.volumes(grad.device).to(grad.dtype)
             scaled = (grad / volumes).contiguous()
             for leaves, gathered in _gather(neighbours, scaled):
                 voxels = volumes.index_select(0, leaves)
                 if grad_features is not None:
-                    grad_features.index_copy_(0, leaves, (gathered @ matrix).mul_(voxels))
+                    grad_features.index_copy_(0, leaves, linear(gathered, matrix).mul_(voxels))
                 if wants_weight:
                     rows = features.index_select(0, leaves).mul_(voxels)
-                    grad_matrix += rows.T @ gathered
+                    grad_matrix += linear(rows.T.contiguous(), gathered.T)
         grad_weight = None
         if wants_weight:
             grad_weight = grad_matrix.view(weight.shape[1], 3, 3, 3, len(weight)).permute(4, 0, 1, 2, 3)

@@ -75,6 +75,21 @@ def test_tables_are_made_once_for_all_layers_on_a_structure(make_batch, monkeypa
     assert len(calls) == 1
 
 
+def test_float32_takes_another_kernel_and_agrees(make_batch) -> None:
+    """float32 on a CPU is multiplied by oneDNN, float64 is not: forward, both gradients, all to rounding."""
+    x = make_batch(8, (2, 2, 2), channels=5, likelihood=0.7)
+    torch.manual_seed(0)
+    conv = OctreeConv3d(5, 7).double()
+    results = []
+    for dtype in (torch.float64, torch.float32):
+        conv = conv.to(dtype)
+        features = x.features.to(dtype).requires_grad_()
+        y = conv(x.with_features(features)).features
+        results.append((y, *torch.autograd.grad(y.square().mean(), (features, conv.weight, conv.bias))))
+    for exact, rounded in zip(*results, strict=True):
+        assert (rounded - exact).norm() < 2e-6 * exact.norm()
+
+
 def test_without_bias_and_in_low_precision(make_batch) -> None:
     x = make_batch(7, (2, 2, 2), channels=4, likelihood=0.8, dtype=torch.float32)
     conv = OctreeConv3d(4, 8, bias=False)
