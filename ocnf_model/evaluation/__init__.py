@@ -1,0 +1,1 @@
+"""Evaluation: the methods side by side, their figures and their pictures."""

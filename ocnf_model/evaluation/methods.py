@@ -1,0 +1,85 @@
+"""The methods that are compared, by name, and the network level by level."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import torch
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.evaluation.devices import memory_errors, wait_for
+from ocnf_model.network import LevelOutput, OctNetFusion
+from ocnf_model.octree import OctreeBatch
+
+COARSEST: Final = 64
+"""Resolution of the paper's first level."""
+
+
+class Method(StrEnum):
+    """A way from depth views to a TSDF."""
+
+    VOLFUS = "volfus"
+    TVL1 = "tvl1"
+    OURS = "ours"
+
+    @property
+    def title(self) -> str:
+        """As tables and figures have it."""
+        return {"volfus": "VolFus", "tvl1": "TV-L1", "ours": "Ours"}[self.value]
+
+
+def parse_methods(names: Sequence[str]) -> tuple[Method, ...]:
+    """The methods of some names, each once, in the order of `Method`.
+
+    Raises:
+        OcnfError: an unknown name.
+    """
+    for name in names:
+        if name not in tuple(Method):
+            raise OcnfError("no such method", field="methods", found=name, expected=" or ".join(Method))
+    return tuple(method for method in Method if method in names)
+
+
+DEFAULT_WEIGHTS: Final[dict[int, float]] = {64: 1.6, 128: 1.6, 256: 1.6}
+"""TV-L1's weights where none was chosen for the data at hand."""
+
+
+def default_weight(resolution: int) -> float:
+    """TV-L1's weight at a resolution, or at the nearest one that there is a weight for."""
+    return DEFAULT_WEIGHTS[min(DEFAULT_WEIGHTS, key=lambda known: abs(known - resolution))]
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """What the network has after one of its levels.
+
+    Attributes:
+        reconstruction: of that level, on the CPU.
+        seconds: since the inputs were on the device: this level and all before it, structure work included.
+    """
+
+    reconstruction: OctreeBatch
+    seconds: float
+
+
+@torch.no_grad()
+def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch],
+               device: torch.device) -> Iterator[Reached]:
+    """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at."""
+    inputs = [encoded.to(device) for encoded in inputs]
+    network._check(inputs)
+    before: LevelOutput | None = None
+    seconds = 0.0
+    wait_for(device)
+    for level, encoded in zip(network.levels, inputs, strict=False):
+        start = time.perf_counter()
+        size = "x".join(map(str, encoded.shape))
+        with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"):
+            before = level(network.level_input(before, encoded))
+            wait_for(device)
+        seconds += time.perf_counter() - start
+        yield Reached(before.reconstruction.to("cpu"), seconds)
