@@ -83,7 +83,7 @@ def _manifest(meshes: Path | None, items: int, resolutions: list[int]) -> dict[s
         categories = sorted(path.name for path in meshes.iterdir() if (path / "train").is_dir())
         each = -(-items // len(categories))
         source = {"kind": "modelnet", "categories": categories, "counts": {"train": each}}
-    return {"name": "bench", "source": source, "resolutions": resolutions, "shards": {"samples": 5},
+    return {"name": "bench", "source": source, "resolutions": resolutions, "shards": {"samples": 2},
             "inputs": [{"name": "v4_n02", "views": 4, "sigma": 0.02, "encodings": ["histogram"]}]}
 
 
