@@ -13,24 +13,19 @@ in the cache, and multiply. The backward pass gathers once, for both products, a
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.leafmap import sparse_product
-from ocnf_model.neighbours import N_OFFSETS, Neighbours
+from ocnf_model.neighbours import Neighbours
 from ocnf_model.octree import OctreeBatch
+from ocnf_model.ops.chunks import Chunk, gather, plan, share
 from ocnf_model.ops.gemm import linear
 from ocnf_model.structure import Structure
-
-# Elements of the gathered buffer: 7 MB of float32 on a CPU, where it should stay in the cache between the
-# gather and the product; on a GPU as much as keeps it busy.
-_CPU_BUFFER = N_OFFSETS * 2**16
-_GPU_BUFFER = N_OFFSETS * 2**22
 
 
 class OctreeConv3d(nn.Module):
@@ -103,63 +98,47 @@ class _Convolution(torch.autograd.Function):
         ctx.structure = structure
         neighbours = structure.table(Neighbours.build, features.device)
         features = features.contiguous()
-        # (C_out, 27 C_in), columns in the order of the buffer: offsets, then channels.
+        # (C_out, 27 C_in), columns in the order of a gathered row: offsets, then channels.
         matrix = weight.permute(0, 2, 3, 4, 1).reshape(len(weight), -1)
         result = features.new_empty(len(features), len(weight))
-        for leaves, gathered in _gather(neighbours, features):
-            result.index_copy_(0, leaves, linear(gathered, matrix, bias))
+
+        def convolve(chunks: Sequence[Chunk]) -> None:
+            for leaves, gathered in gather(neighbours, features, chunks):
+                result.index_copy_(0, leaves, linear(gathered, matrix, bias))
+
+        share(convolve, plan(neighbours, features.shape[1]), features.device)
         return result
 
     @staticmethod
+    @once_differentiable
     def backward(
         ctx: Any, grad: Tensor
     ) -> tuple[Tensor | None, Tensor | None, Tensor | None, None]:
         features, weight = ctx.saved_tensors
         wants_features, wants_weight, wants_bias, _ = ctx.needs_input_grad
+        neighbours = ctx.structure.table(Neighbours.build, features.device)
+        volumes = ctx.structure.volumes(grad.device).to(grad.dtype)
+        scaled = (grad / volumes).contiguous()
+        # (C_in, 27 C_out): h_k comes from the offset opposite to k.
+        matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
         grad_features = torch.empty_like(features) if wants_features else None
-        # Sums over all chunks are kept in float32, whatever the features are.
-        grad_matrix = torch.zeros(weight.shape[1], N_OFFSETS * len(weight), device=grad.device,
-                                  dtype=torch.promote_types(grad.dtype, torch.float32))
-        if wants_features or wants_weight:
-            neighbours = ctx.structure.table(Neighbours.build, features.device)
-            # (C_in, 27 C_out): h_k comes from the offset opposite to k.
-            matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
-            volumes = ctx.structure.volumes(grad.device).to(grad.dtype)
-            scaled = (grad / volumes).contiguous()
-            for leaves, gathered in _gather(neighbours, scaled):
+
+        def convolve_back(chunks: Sequence[Chunk]) -> Tensor:
+            # A sum over many chunks is kept in float32 at least.
+            grad_matrix = matrix.new_zeros(matrix.shape, dtype=torch.promote_types(grad.dtype, torch.float32))
+            for leaves, gathered in gather(neighbours, scaled, chunks):
                 voxels = volumes.index_select(0, leaves)
                 if grad_features is not None:
                     grad_features.index_copy_(0, leaves, linear(gathered, matrix).mul_(voxels))
                 if wants_weight:
                     rows = features.index_select(0, leaves).mul_(voxels)
                     grad_matrix += linear(rows.T.contiguous(), gathered.T)
+            return grad_matrix
+
         grad_weight = None
-        if wants_weight:
-            grad_weight = grad_matrix.view(weight.shape[1], 3, 3, 3, len(weight)).permute(4, 0, 1, 2, 3)
-            grad_weight = grad_weight.flip(2, 3, 4).to(weight.dtype)
+        if wants_features or wants_weight:
+            parts = share(convolve_back, plan(neighbours, grad.shape[1]), grad.device)
+            if wants_weight:
+                grad_matrix = torch.stack(parts).sum(0).view(weight.shape[1], 3, 3, 3, len(weight))
+                grad_weight = grad_matrix.permute(4, 0, 1, 2, 3).flip(2, 3, 4).to(weight.dtype)
         return grad_features, grad_weight, grad.sum(0) if wants_bias else None, None
-
-
-def _gather(neighbours: Neighbours, features: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Chunks of leaves, (m,) int64, with (A_k x) of each at all offsets, (m, 27 C): regular leaves first.
-
-    The second tensor is overwritten by the next chunk.
-    """
-    channels = features.shape[1]
-    elements = _CPU_BUFFER if features.device.type == "cpu" else _GPU_BUFFER
-    chunk = max(1, math.ceil(elements / (N_OFFSETS * channels)))
-    buffer = features.new_empty(N_OFFSETS * min(chunk, len(neighbours.regular)), channels)
-    table = neighbours.table.view(-1)
-    for first in range(0, len(neighbours.regular), chunk):
-        leaves = neighbours.regular[first : first + chunk]
-        indices = table[N_OFFSETS * first : N_OFFSETS * (first + len(leaves))]
-        gathered = torch.index_select(features, 0, indices, out=buffer[: len(indices)])
-        yield leaves, gathered.view(len(leaves), -1)
-    # One transfer for all chunks: on a GPU each `int()` would wait for it.
-    bounds = [*neighbours.starts[:: N_OFFSETS * chunk].tolist(), len(neighbours.columns)]
-    for i, first in enumerate(range(0, len(neighbours.irregular), chunk)):
-        leaves = neighbours.irregular[first : first + chunk]
-        entries = slice(bounds[i], bounds[i + 1])
-        starts = neighbours.starts[N_OFFSETS * first : N_OFFSETS * (first + len(leaves)) + 1] - bounds[i]
-        gathered = sparse_product(starts, neighbours.columns[entries], neighbours.weights[entries], features)
-        yield leaves, gathered.view(len(leaves), -1)

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.octree import OctreeBatch
@@ -43,17 +44,19 @@ class _Max(torch.autograd.Function):
         pooled = features.index_select(0, halving.first)
         firsts = halving.first.index_select(0, halving.octets)
         largest = pooled.index_select(0, halving.octets)
-        winners = torch.zeros_like(largest, dtype=torch.uint8)
+        winners = torch.zeros_like(largest, dtype=torch.uint8) if ctx.needs_input_grad[0] else None
         for slot in range(1, 8):
             candidate = features.index_select(0, firsts + slot)
-            wins = candidate > largest  # strictly: the first of equals stays
-            winners[wins] = slot
+            if winners is not None:
+                winners.masked_fill_(candidate > largest, slot)  # strictly: the first of equals stays
             largest = torch.maximum(largest, candidate)
         ctx.halving = halving
-        ctx.save_for_backward(winners)
+        if winners is not None:
+            ctx.save_for_backward(winners)
         return pooled.index_copy_(0, halving.octets, largest)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         halving: Halving = ctx.halving
         winners = torch.zeros_like(grad, dtype=torch.uint8)
@@ -76,6 +79,7 @@ class _Mean(torch.autograd.Function):
         return pooled.index_copy_(0, halving.octets, total.mul_(0.125))
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         halving: Halving = ctx.halving
         return (grad * halving.shares.to(grad.dtype)).index_select(0, halving.parents), None

@@ -47,9 +47,29 @@ def test_chunks_do_not_show(make_batch, dense, monkeypatch) -> None:
     x = make_batch(4, (2, 2, 2), channels=3, likelihood=0.8)
     conv = OctreeConv3d(3, 2).double()
     whole = conv(x).features
-    monkeypatch.setattr("ocnf_model.ops.conv._CPU_BUFFER", 27 * 3 * 50)
+    monkeypatch.setattr("ocnf_model.ops.chunks._CPU_ELEMENTS", 27 * 3 * 50)
     torch.testing.assert_close(conv(x).features, whole, rtol=1e-13, atol=1e-13)
     torch.testing.assert_close(whole, reference(dense, x, conv.weight, conv.bias), rtol=1e-12, atol=1e-12)
+
+
+def test_threads_share_the_work_and_repeat_themselves(make_batch, monkeypatch) -> None:
+    monkeypatch.setattr("ocnf_model.ops.chunks._CPU_ELEMENTS", 27 * 3 * 20)
+    x = make_batch(9, (2, 2, 2), channels=3, likelihood=0.8, dtype=torch.float32)
+    conv = OctreeConv3d(3, 3)
+    before = torch.get_num_threads()
+    results = []
+    try:
+        for n_threads in (1, 3, 3):
+            torch.set_num_threads(n_threads)
+            features = x.features.clone().requires_grad_()
+            y = conv(x.with_features(features)).features
+            results.append((y, *torch.autograd.grad(y.square().sum(), (features, conv.weight))))
+            assert torch.get_num_threads() == n_threads
+    finally:
+        torch.set_num_threads(before)
+    one, three, again = results
+    torch.testing.assert_close(one, three, rtol=1e-5, atol=1e-4)
+    assert all(torch.equal(a, b) for a, b in zip(three, again, strict=True))
 
 
 def test_only_the_gradients_asked_for(make_batch) -> None:
