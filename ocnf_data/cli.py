@@ -48,9 +48,19 @@ Jobs = Annotated[int, typer.Option(
     help="Worker processes, each using one core and up to 0.7 GB.")]
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from ocnf_data import __version__
+
+        _out.print(f"ocnf {__version__}", highlight=False)
+        raise typer.Exit
+
+
 @app.callback()
 def _options(debug: Annotated[bool, typer.Option(
-        "--debug", help="Show where in the code an error was raised.")] = False) -> None:
+        "--debug", help="Show where in the code an error was raised.")] = False,
+        version: Annotated[bool, typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version.")] = False) -> None:
     global _debug
     _debug = debug
 

@@ -26,7 +26,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -92,6 +92,16 @@ class ViewStore:
 
     def __init__(self, url: str | os.PathLike[str]) -> None:
         self._store = Store(url)
+
+    def kept(self, keys: Collection[str]) -> list[str]:
+        """Those of the keys that there is a file for, of whatever mesh and cameras."""
+        names = set(self._store.list())
+        return [key for key in keys if _file_name(key) in names]
+
+    def fingerprint(self, key: str) -> str:
+        """The `view_fingerprint` that an item's views were kept with."""
+        with _opened(self._store, _file_name(key)) as file:
+            return _text(_group(file, key), "fingerprint")
 
     def find(self, key: str, mesh_sha256: str, fingerprint: str) -> Views | None:
         """The views of an item; None where there are none, or they are of another mesh or other cameras.

@@ -95,6 +95,9 @@ def watertight_path(source: str | os.PathLike[str], out: str | os.PathLike[str],
     Raises:
         OcnfError: the source is missing or holds no mesh, or the format cannot be written.
     """
+    if resolution % 8 or not 8 <= resolution <= 1024:  # said once, not of every file
+        raise OcnfError("not a resolution", field="resolution", found=resolution,
+                        expected="a multiple of 8 from 8 to 1024")
     tasks = _tasks(Path(source), Path(out), suffix)
     report = WatertightReport()
     for done, (path, target, error) in enumerate(_run(tasks, resolution, level, jobs), 1):

@@ -66,6 +66,12 @@ def test_help_names_every_command() -> None:
     assert "--retry-failed" in ocnf("generate", "--help").out
 
 
+def test_the_version_is_told() -> None:
+    from ocnf_data import __version__
+
+    assert ocnf("--version").out == f"ocnf {__version__}\n"
+
+
 def test_generating_again_resumes(made) -> None:
     manifest, out = made
     before = (out / "dataset.json").stat().st_size

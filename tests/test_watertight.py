@@ -117,5 +117,6 @@ def test_what_cannot_be_done_is_said(tmp_path):
     for level in (-1, 1, 5, float("nan")):
         with pytest.raises(OcnfError, match="level"):
             make_watertight(part.vertices, part.faces, RESOLUTION, level)
-    with pytest.raises(OcnfError, match="resolution"):
-        make_watertight(part.vertices, part.faces, 100)
+    for refused in (make_watertight, lambda *_: watertight_path(source, tmp_path / "out.ply", 100)):
+        with pytest.raises(OcnfError, match="resolution"):
+            refused(part.vertices, part.faces, 100)

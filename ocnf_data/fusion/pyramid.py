@@ -19,6 +19,7 @@ import numpy.typing as npt
 from numba import njit
 
 from ocnf_data.cameras import Views
+from ocnf_data.errors import OcnfError
 from ocnf_data.fusion.workers import map_in_threads
 
 F32 = npt.NDArray[np.float32]
@@ -38,6 +39,9 @@ class DepthPyramid:
     """
 
     def __init__(self, views: Views) -> None:
+        if not isinstance(views, Views):
+            raise OcnfError("not posed views", where="fusion", field="views", found=type(views).__name__,
+                            expected="ocnf_data.Views")
         self.views = views
         self.levels, n_entries = _layout(*views.size)
         self.windows: F32 = np.empty((len(views), n_entries, 3), np.float32)

@@ -38,6 +38,7 @@ from ocnf_data.shards.dataset import (
     write_dataset,
 )
 from ocnf_data.storage import Store
+from ocnf_data.viewstore import ViewStore, view_fingerprint
 
 VIEWS = "views"
 
@@ -88,6 +89,8 @@ def generate(
     console = Console(stderr=True, quiet=not progress)
     with exclusive(store):
         plan, warnings = adopt(store, make_plan(manifest, root))
+        if views is not None:
+            warnings += _compare_views(views, plan, manifest)
         for warning in warnings:
             console.print(f"[yellow]warning:[/] {warning}")
         store.clean_temporaries()  # of a run that was killed
@@ -125,6 +128,20 @@ def _check_places(store: Store, jobs: int, backend: str, keeps: bool,
     if views is not None and Store(views).root is not None and not Path(views).is_dir():
         raise OcnfError("no folder of views", code="missing", where=views, field="views",
                         fix="give the folder `views` of a data set made with `views: keep`")
+
+
+def _compare_views(views: str | os.PathLike[str], plan: Plan, manifest: Manifest) -> list[str]:
+    """A sentence if the kept views are of no use; OcnfError if they are those of other items altogether."""
+    kept = ViewStore(views)
+    keys = kept.kept([item.key for item in plan.items])
+    if not keys:
+        raise OcnfError("no views of any of the items are kept there", code="missing", where=views,
+                        field="views", expected="KEY.h5 of the items' keys, as `views: keep` leaves them",
+                        fix="give the folder `views` of a data set of the same meshes, or leave it out")
+    with contextlib.suppress(OcnfError):  # a damaged file is rendered anew, and is no reason to stop
+        if kept.fingerprint(keys[0]) == view_fingerprint(manifest):
+            return []
+    return [f"the views in {views} are of other cameras or of another placement: all are rendered anew"]
 
 
 def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, ShardDone]:

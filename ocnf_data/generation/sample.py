@@ -119,7 +119,12 @@ def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | N
         return make_shape(item.category, manifest.seed, item.index, item.split)
     if meshes is None:
         raise OcnfError("the folder of the meshes is not given", code="missing", where=item.source)
-    mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
+    try:
+        mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
+    except OcnfError as error:
+        # Where the meshes lie is no part of the data set: its bytes name them as the manifest does.
+        raise OcnfError(error.what, code=error.code, where=item.source, field=error.field, found=error.found,
+                        expected=error.expected, fix=error.fix) from error
     if item.sha256 is not None and mesh.sha256 != item.sha256:
         raise OcnfError("the file has changed since the plan was made", code="changed", where=item.source,
                         found=f"sha256 {mesh.sha256}", expected=item.sha256)

@@ -82,7 +82,8 @@ def print_verify(report: VerifyReport, console: Console) -> int:
         console.print(str(problem), markup=False, highlight=False, soft_wrap=True)
     if len(report.problems) > _MOST_ROWS:
         console.print(f"... and {len(report.problems) - _MOST_ROWS} more", highlight=False)
-    console.print(f"[red]{len(report.problems)} problems[/] in {looked}", highlight=False)
+    found = "1 problem" if len(report.problems) == 1 else f"{len(report.problems)} problems"
+    console.print(f"[red]{found}[/] in {looked}", highlight=False)
     if report.damaged_shards:
         console.print("`ocnf-data repair` sets the damaged shards aside and generates exactly those again",
                       highlight=False)

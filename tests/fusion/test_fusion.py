@@ -153,6 +153,12 @@ def test_results_do_not_depend_on_the_number_of_threads(scenes, encoding):
     assert len(set(blobs)) == 1
 
 
+def test_what_is_no_views_is_refused(scenes):
+    for fuse_it in (fuse_tsdf, DepthPyramid):
+        with pytest.raises(OcnfError, match="not posed views"):
+            fuse_it(scenes["plane"].depth, *[16] * (fuse_it is fuse_tsdf))
+
+
 def test_a_shared_pyramid_gives_what_the_views_give(scenes):
     pyramid = DepthPyramid(scenes["plane"])
     for encoding in ENCODINGS:

@@ -182,3 +182,31 @@ def test_views_that_are_not_there(meshes, define, tmp_path) -> None:
         generate(define(), tmp_path / "out", meshes("a"), views=tmp_path / "nowhere", progress=False)
     with pytest.raises(OcnfError, match="memory"):
         generate(define(views="keep"), "memory://kept", meshes("a"), progress=False)
+
+
+def test_views_of_other_items_or_cameras_are_noticed(meshes, define, tmp_path, contents) -> None:
+    root = meshes("ab")
+    generate(define(views="keep"), tmp_path / "kept", root, progress=False)
+    with pytest.raises(OcnfError, match="no views of any of the items") as error:
+        generate(define(), tmp_path / "out", root, views=tmp_path / "kept", progress=False)
+    assert error.value.fix is not None and "`views`" in error.value.fix
+    nearer = define(camera={"rig": "fibonacci9"})
+    report = generate(nearer, tmp_path / "nearer", root, views=tmp_path / "kept/views", progress=False)
+    assert any("other cameras" in warning for warning in report.warnings)
+    generate(nearer, tmp_path / "rendered", root, progress=False)
+    assert contents(tmp_path / "nearer") == contents(tmp_path / "rendered")
+
+
+def test_failures_do_not_say_where_the_meshes_lie(meshes, define, tmp_path) -> None:
+    """So that the same meshes in another folder give the same bytes."""
+    root = meshes("ab")
+    broken = next(root.rglob("*a.*"))
+    broken.write_text("OFF\n3 1 0\n0 0 0\n")
+    shutil.copytree(root, tmp_path / "elsewhere")
+    rows = []
+    for where in (root, tmp_path / "elsewhere"):
+        out = tmp_path / f"out-{len(rows)}"
+        report = generate(define(), out, where, progress=False)
+        assert [failure.code for failure in report.failures] == ["unreadable"]
+        rows.append((out / "failures.jsonl").read_bytes())
+    assert rows[0] == rows[1] and str(tmp_path).encode() not in rows[0]
