@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
+import numpy as np
 import torch
 
+from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.octree import GridOctree
+from ocnf_model.baselines import volfus_from_encoding
 from ocnf_model.evaluation.devices import memory_errors, wait_for
 from ocnf_model.network import LevelOutput, OctNetFusion
 from ocnf_model.octree import OctreeBatch
@@ -27,7 +31,7 @@ class Method(StrEnum):
     OURS = "ours"
 
     @property
-    def title(self) -> str:
+    def label(self) -> str:
         """As tables and figures have it."""
         return {"volfus": "VolFus", "tvl1": "TV-L1", "ours": "Ours"}[self.value]
 
@@ -53,6 +57,19 @@ def default_weight(resolution: int) -> float:
     return DEFAULT_WEIGHTS[min(DEFAULT_WEIGHTS, key=lambda known: abs(known - resolution))]
 
 
+def stored_volfus(octree: GridOctree, encoding: Encoding) -> GridOctree:
+    """VolFus's TSDF / tau from a stored input.
+
+    It is exact (to the rounding of storage, 1/255) from `tsdf` and `tdf_occupancy`. From `histogram` it is an
+    approximation, the mean of the bins, the last one taken at tau: a vote between 0.875 tau and 1.125 tau in
+    front of a surface is split between two bins, which hides on which side of tau it was.
+    """
+    if encoding is not Encoding.HISTOGRAM:
+        return volfus_from_encoding(octree, encoding)
+    centres = np.minimum(np.linspace(-1.125, 1.125, octree.channels, dtype=np.float32), 1)
+    return octree.with_data(np.clip(octree.data @ centres, -1, 1)[:, None])
+
+
 @dataclass(frozen=True, eq=False)
 class Reached:
     """What the network has after one of its levels.
@@ -71,7 +88,6 @@ def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch],
                device: torch.device) -> Iterator[Reached]:
     """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at."""
     inputs = [encoded.to(device) for encoded in inputs]
-    network._check(inputs)
     before: LevelOutput | None = None
     seconds = 0.0
     wait_for(device)

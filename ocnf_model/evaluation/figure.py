@@ -1,0 +1,58 @@
+"""The paper's qualitative figure: rows of resolutions, columns of methods and the ground truth."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+
+import numpy as np
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.render.shade import shade
+from ocnf_model.evaluation.measure import Surface
+
+TRUTH = "Ground truth"
+_INCHES = 2.6
+_PIXELS = 420
+
+
+def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: str = "z") -> bytes:
+    """A PNG of one model's surfaces.
+
+    Args:
+        surfaces: by (resolution, method), columns in the order in which they are met; `TRUTH` comes last.
+            What is missing leaves its place empty.
+        title: above all.
+        up: which axis points up.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise OcnfError("the figure needs matplotlib", code="missing_extra",
+                        fix="pip install 'ocnf[generate]'") from error
+    sides = sorted({side for side, _ in surfaces})
+    methods = sorted(dict.fromkeys(method for _, method in surfaces), key=lambda method: method == TRUTH)
+    frame = surfaces[sides[-1], TRUTH][0]
+    if not len(frame):
+        frame = np.array([[-1.5] * 3, [1.5] * 3])
+    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, _INCHES * len(sides) + 0.6), dpi=150)
+    axes = figure.subplots(len(sides), len(methods), squeeze=False)
+    for row, side in enumerate(sides):
+        for column, method in enumerate(methods):
+            ax = axes[row, column]
+            if (side, method) in surfaces:
+                ax.imshow(shade(*surfaces[side, method], size=_PIXELS, up=up, frame=frame),
+                          interpolation="lanczos")
+            ax.set_xticks([])
+            ax.set_yticks([])
+            ax.spines[:].set_visible(False)
+            if row == 0:
+                ax.set_title(method, fontsize=11)
+            if column == 0:
+                ax.set_ylabel(f"{side}³", fontsize=11)
+    figure.suptitle(title, fontsize=11)
+    figure.tight_layout(pad=0.3)
+    picture = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(picture)
+    return picture.getvalue()

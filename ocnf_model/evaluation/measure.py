@@ -1,0 +1,152 @@
+"""Each method on each model: the figures, and the surfaces that are to be drawn."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.octree import GridOctree
+from ocnf_data.surface import octree_surface
+from ocnf_model.baselines import tvl1
+from ocnf_model.evaluation.methods import Method, run_levels, stored_volfus
+from ocnf_model.evaluation.models import Facts, Model, Plan
+from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
+from ocnf_model.network import OctNetFusion, Output
+from ocnf_model.octree import OctreeBatch
+
+Surface = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]
+Weight = Callable[[str, int], float]
+"""TV-L1's weight for a (variant, resolution)."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """The figures of one method on one model.
+
+    Attributes:
+        key, category: of the model.
+        variant: of the input.
+        resolution: voxels a side.
+        method: its label.
+        mad_mm: over all voxels; NaN where prediction or ground truth is occupancy.
+        iou, precision, recall: of the occupied voxels (TSDF <= 0, probability >= 0.5).
+        seconds: from the encoded input to the reconstruction; NaN for what is read from the data set.
+        n_leaves: of the reconstruction.
+    """
+
+    key: str
+    category: str
+    variant: str
+    resolution: int
+    method: str
+    mad_mm: float
+    iou: float
+    precision: float
+    recall: float
+    seconds: float
+    n_leaves: int
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A reconstruction or a ground truth: one volume, TSDF / tau or the probability of being occupied."""
+
+    volume: OctreeBatch
+    is_occupancy: bool
+
+    def as_occupancy(self) -> OctreeBatch:
+        """1 where it is occupied, 0 elsewhere."""
+        values = self.volume.features
+        inside = values >= 0.5 if self.is_occupancy else values <= 0
+        return self.volume.with_features(inside.to(torch.float32))
+
+    def surface(self) -> Surface:
+        """Marching cubes, in the cube of side 3."""
+        values = self.volume.features
+        signed = 1 - 2 * values if self.is_occupancy else values.clamp(-1, 1)
+        return octree_surface(self.volume.with_features(signed).to_grids()[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One method on one model at one resolution."""
+
+    row: Row
+    field: Field
+
+
+class Bench:
+    """Runs the methods of a plan on models.
+
+    Args:
+        facts: of the data set.
+        plan: which methods, and what they take.
+        weight: TV-L1's.
+        network: for `ours`; on its device, in evaluation mode.
+    """
+
+    def __init__(self, facts: Facts, plan: Plan, weight: Weight, network: OctNetFusion | None) -> None:
+        self._facts, self._plan, self._weight, self._network = facts, plan, weight, network
+        if network is not None:
+            self._levels = level_sides(facts, len(network.levels))
+
+    def run(self, model: Model) -> Iterator[Result]:
+        """The results of all methods at all resolutions that the model was read at."""
+        truths = {side: Field(OctreeBatch.from_grids([truth]), self._facts.is_occupancy)
+                  for side, truth in model.truths.items()}
+        for method, encoding in self._plan.sources.items():
+            for side, field, seconds in self._reconstruct(method, model.inputs[encoding], encoding):
+                yield Result(self._row(model, side, method, field, truths[side], seconds), field)
+
+    def _reconstruct(self, method: Method, inputs: Mapping[int, GridOctree],
+                     encoding: Encoding) -> Iterator[tuple[int, Field, float]]:
+        if method is Method.OURS and self._network is not None:
+            device = next(self._network.parameters()).device
+            batches = [OctreeBatch.from_grids([inputs[side]]) for side in self._levels]
+            is_occupancy = self._network.output is Output.OCCUPANCY
+            for side, reached in zip(self._levels, run_levels(self._network, batches, device), strict=True):
+                yield side, Field(reached.reconstruction, is_occupancy), reached.seconds
+            return
+        for side, octree in inputs.items():
+            start = time.perf_counter()
+            if method is Method.TVL1:
+                fused = tvl1(octree, self._weight(self._plan.variant, side))
+                seconds = time.perf_counter() - start
+            else:
+                fused, seconds = stored_volfus(octree, encoding), math.nan
+            yield side, Field(OctreeBatch.from_grids([fused]), False), seconds
+
+    def _row(self, model: Model, side: int, method: Method, field: Field, truth: Field,
+             seconds: float) -> Row:
+        if field.is_occupancy or truth.is_occupancy:
+            overlap = occupancy_overlap(field.as_occupancy(), truth.as_occupancy())
+            mad = math.nan
+        else:
+            overlap = tsdf_overlap(field.volume, truth.volume)
+            mad = float(mad_mm(field.volume, truth.volume, self._facts.taus[side]))
+        return Row(model.key, model.category, self._plan.variant, side, self._plan.label(method), mad,
+                   float(overlap.iou), float(overlap.precision), float(overlap.recall), seconds,
+                   field.volume.n_leaves)
+
+
+def level_sides(facts: Facts, n_levels: int) -> list[int]:
+    """Resolutions of the network's levels: the data set's lowest ones, as many as both have.
+
+    Raises:
+        OcnfError: they do not double from one to the next, or the lowest is no multiple of 32.
+    """
+    sides = list(facts.resolutions[:n_levels])
+    if sides[0] % 32 or any(b != 2 * a for a, b in pairwise(sides)):
+        raise OcnfError("the network cannot run at the data set's resolutions", where=facts.url,
+                        field="resolutions", found=sides,
+                        expected="a multiple of 32, each twice the one before")
+    return sides

@@ -1,0 +1,165 @@
+"""What methods are compared on: a data set's models, their ground truth and the inputs of each method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.loader import Batch, ShardDataset
+from ocnf_data.octree import GridOctree
+from ocnf_data.shards.dataset import load_dataset
+from ocnf_model.evaluation.methods import Method
+
+_VOLFUS_SOURCES = (Encoding.TSDF, Encoding.TDF_OCCUPANCY, Encoding.HISTOGRAM)  # the best one first
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the manifest of a data set says that matters here.
+
+    Attributes:
+        url: of the data set.
+        resolutions: ascending.
+        variants: the encodings of each input variant.
+        is_occupancy: whether the ground truth is occupancy, not TSDF.
+        taus: truncation in metres, by resolution.
+    """
+
+    url: str
+    resolutions: tuple[int, ...]
+    variants: Mapping[str, tuple[Encoding, ...]]
+    is_occupancy: bool
+    taus: Mapping[int, float]
+
+    @classmethod
+    def read(cls, url: str) -> Facts:
+        """The facts of the data set at a folder or URL."""
+        manifest: dict[str, Any] = dict(load_dataset(url).manifest)
+        try:
+            resolutions = tuple(sorted(int(side) for side in manifest["resolutions"]))
+            voxels, extent = float(manifest["truncation_voxels"]), float(manifest["normalise"]["extent"])
+            return cls(
+                url=url,
+                resolutions=resolutions,
+                variants={entry["name"]: tuple(map(Encoding, entry["encodings"]))
+                          for entry in manifest["inputs"]},
+                is_occupancy=manifest["target"] == "occupancy",
+                taus={side: voxels * extent / side for side in resolutions},
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise OcnfError("the data set's manifest lacks what evaluation needs", code="damaged", where=url,
+                            field="manifest", found=f"{type(error).__name__}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a variant is evaluated with: for each method the stored encoding that it takes."""
+
+    variant: str
+    sources: Mapping[Method, Encoding]
+
+    def is_approximate(self, method: Method) -> bool:
+        """Whether the method is VolFus from a histogram."""
+        return method is Method.VOLFUS and self.sources[method] is Encoding.HISTOGRAM
+
+    def label(self, method: Method) -> str:
+        """The method's name in tables; approximate ones have a star."""
+        return method.label + "*" * self.is_approximate(method)
+
+
+def plan_variants(facts: Facts, methods: Sequence[Method], encoding: Encoding | None, *,
+                  required: bool) -> tuple[list[Plan], list[str]]:
+    """A plan for each variant that some method can be run on, and notes on what cannot.
+
+    Args:
+        facts: of the data set.
+        methods: which of them.
+        encoding: of the network; None without one.
+        required: whether each method has to run on some variant.
+
+    Raises:
+        OcnfError: code `missing`, if a method that has to cannot run, or none can.
+    """
+    plans, notes = [], []
+    for variant, stored in facts.variants.items():
+        sources: dict[Method, Encoding] = {}
+        for method in methods:
+            wanted = {Method.VOLFUS: _VOLFUS_SOURCES, Method.TVL1: (Encoding.HISTOGRAM,),
+                      Method.OURS: () if encoding is None else (encoding,)}[method]
+            found = next((one for one in wanted if one in stored), None)
+            if found is None:
+                notes.append(f"{method.label} needs {' or '.join(wanted)}, which variant {variant} lacks")
+            else:
+                sources[method] = found
+        if sources:
+            plans.append(Plan(variant, sources))
+            if sources.get(Method.VOLFUS) is Encoding.HISTOGRAM:
+                notes.append(f"VolFus* of {variant} is the mean of the histogram, an approximation; add tsdf "
+                             "to the encodings of the data set's inputs to have it exactly")
+    ran = {method for plan in plans for method in plan.sources}
+    if not plans or (required and ran != set(methods)):
+        raise OcnfError("the data set lacks the inputs that a method needs", code="missing", where=facts.url,
+                        field="inputs", found="; ".join(notes) or "no inputs",
+                        fix="name other methods, or generate with these encodings")
+    return plans, notes
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """One sample: octrees by resolution, inputs by encoding first."""
+
+    key: str
+    category: str
+    truths: Mapping[int, GridOctree]
+    inputs: Mapping[Encoding, Mapping[int, GridOctree]]
+
+
+class Models:
+    """The models of a split and variant, in the data set's own order, each once.
+
+    Args:
+        facts: of the data set.
+        split: `train`, `val` or `test`.
+        variant: of the inputs.
+        encodings: which of them to read; at least one.
+        resolutions: which of them to read.
+        limit: the first so many only; None for all.
+
+    Raises:
+        OcnfError: the data set lacks what is asked for, or is damaged: where, and what there is.
+    """
+
+    def __init__(self, facts: Facts, split: str, variant: str, encodings: Sequence[Encoding],
+                 resolutions: Sequence[int], limit: int | None = None) -> None:
+        if limit is not None and limit < 1:
+            raise OcnfError("no models are asked for", field="limit", found=limit, expected="1 or more")
+        self._encodings = list(encodings)
+        self._sets = [
+            ShardDataset(facts.url, split, list(resolutions), encoding, variant, shuffle=False,
+                         uneven="exact", rank=0, world_size=1, targets=number == 0)
+            for number, encoding in enumerate(self._encodings)
+        ]
+        self._limit = limit
+
+    def __len__(self) -> int:
+        return min(len(self._sets[0]), self._limit or len(self._sets[0]))
+
+    def __iter__(self) -> Iterator[Model]:
+        for dataset in self._sets:
+            dataset.set_epoch(0)
+        for batches in islice(zip(*self._sets, strict=True), len(self)):
+            yield self._model(batches)
+
+    def _model(self, batches: Sequence[Batch]) -> Model:
+        first = batches[0]
+        return Model(
+            key=first.keys[0],
+            category=first.categories[0],
+            truths={side: octrees.grids()[0] for side, octrees in first.targets.items()},
+            inputs={encoding: {side: octrees.grids()[0] for side, octrees in batch.inputs.items()}
+                    for encoding, batch in zip(self._encodings, batches, strict=True)},
+        )

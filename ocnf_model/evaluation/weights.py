@@ -1,0 +1,98 @@
+"""TV-L1's weights: chosen on the validation split, kept in a file, read by evaluation.
+
+    {"schema": 1, "split": "val", "choices": [{"variant": "v4_n02", "resolution": 64, "weight": 1.6,
+      "weights": [0.4, ...], "mean_mm": [0.71, ...], "models": ["chair_0001", ...]}, ...]}
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.storage import Store, storage_errors
+from ocnf_model.baselines import choose_weight
+from ocnf_model.baselines.crossval import DEFAULT_WEIGHTS
+from ocnf_model.evaluation.models import Facts, Models
+
+_SCHEMA = 1
+_MAX_BYTES = 2**24
+_LARGEST_NUMBER_OF_MODELS = {64: 20, 128: 10}  # and 5 from 256 on
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The best weight of a variant at a resolution, and how it came about."""
+
+    variant: str
+    resolution: int
+    weight: float
+    weights: list[float]
+    mean_mm: list[float]
+    models: list[str]
+
+
+def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None = None,
+                      n_models: int | None = None, split: str = "val",
+                      weights: Sequence[float] = DEFAULT_WEIGHTS,
+                      progress: Callable[[str], None] | None = None) -> list[Choice]:
+    """Choose TV-L1's weight for each variant with histograms, and write the file that evaluation reads.
+
+    Args:
+        data: a data set whose ground truth is TSDF.
+        out: the file to write.
+        resolutions: which; None for all.
+        n_models: how many of the split; None: 20 up to 64^3, 10 at 128^3, 5 above. Fewer if there are fewer.
+        split: never the one that is reported on.
+        weights: at least 6, ascending; the grid grows where the best lies at its end.
+        progress: called with a line after each resolution of each variant.
+    """
+    facts = Facts.read(data)
+    if facts.is_occupancy:
+        raise OcnfError("the weight is chosen by the TSDF's error", where=data, field="target",
+                        found="occupancy", expected="tsdf")
+    variants = [name for name, stored in facts.variants.items() if Encoding.HISTOGRAM in stored]
+    if not variants:
+        raise OcnfError("the data set has no histograms", code="missing", where=data, field="inputs")
+    choices = []
+    for variant in variants:
+        for side in resolutions or facts.resolutions:
+            wanted = n_models or next((n for most, n in _LARGEST_NUMBER_OF_MODELS.items() if side <= most), 5)
+            models = list(Models(facts, split, variant, [Encoding.HISTOGRAM], [side], wanted))
+            choice = choose_weight([(model.inputs[Encoding.HISTOGRAM][side], model.truths[side],
+                                     facts.taus.get(side, math.nan)) for model in models], weights)
+            choices.append(Choice(variant, side, choice.weight, choice.weights.tolist(),
+                                  choice.mean_mm.tolist(), [model.key for model in models]))
+            if progress is not None:
+                progress(f"{variant} at {side}^3, {len(models)} models: weight {choice.weight:.3g}, "
+                         f"MAD {choice.mean_mm.min():.3f} mm")
+    text = json.dumps({"schema": _SCHEMA, "split": split, "choices": [asdict(one) for one in choices]},
+                      indent=1)
+    Store(out.parent).put_bytes(out.name, text.encode())
+    return choices
+
+
+def read_weights(path: Path) -> Mapping[tuple[str, int], float]:
+    """Weights by (variant, resolution), from a file that `run_choose_weight` wrote.
+
+    Raises:
+        OcnfError: no such file, or not one of weights.
+    """
+    with storage_errors(path), path.open("rb") as opened:
+        text = opened.read(_MAX_BYTES)
+    try:
+        content = json.loads(text)
+        if content["schema"] != _SCHEMA:
+            raise ValueError(f"schema {content['schema']}")
+        found = {(str(one["variant"]), int(one["resolution"])): float(one["weight"])
+                 for one in content["choices"]}
+        if not all(math.isfinite(weight) and weight > 0 for weight in found.values()):
+            raise ValueError("a weight that is not above 0")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise OcnfError("not a file of TV-L1 weights", code="damaged", where=path,
+                        found=f"{type(error).__name__}: {error}", fix="choose them again") from error
+    return found
