@@ -1,0 +1,278 @@
+"""Checkpoints: the weights of a level and what they are, in one file, read without running anything.
+
+    RUN/level-1.safetensors     weights of the first level, of its best epoch; the header is JSON
+    RUN/level-1.json            the same header, to look at; nothing reads it
+
+A later level was trained on the outputs of certain weights of the level before: its header names them by
+checksum, so that levels of different runs, or of an unfinished mixture, are not put together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.shards.record import Sha256, canonical_json, sha256_hex
+from ocnf_data.storage import Store, storage_errors
+from ocnf_data.validation import Int, Real, Strict, validate
+from ocnf_model.network import Carry, Join, OctNetFusion, Output
+from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
+
+CHECKPOINT_SCHEMA: Final = 1
+PRETRAINED: Final = "pretrained"
+_PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
+
+Positive = Annotated[Int, Field(ge=1)]
+
+
+class Architecture(Strict):
+    """What a network is, but for its number of levels: the arguments of `OctNetFusion`."""
+
+    encoding: Encoding
+    join: Join
+    carry: Carry
+    output: Output
+    channels: tuple[Positive, Positive, Positive]
+    band: Real
+
+    def network(self, levels: int, checkpointing: bool = False) -> OctNetFusion:
+        """A new network, with random weights."""
+        return OctNetFusion(levels=levels, checkpointing=checkpointing, **self.model_dump())
+
+
+class DataFacts(Strict):
+    """What was trained on: enough to refuse data whose values mean something else.
+
+    Attributes:
+        name: of the data set.
+        checksum: of its `dataset.json`.
+        variant: name of the inputs.
+        n_train, n_val: samples.
+        extent: side of the cube in metres.
+        truncation_voxels: tau, in voxels of any resolution.
+    """
+
+    name: str
+    checksum: Sha256
+    variant: str | None
+    n_train: Int
+    n_val: Int
+    extent: Real
+    truncation_voxels: Real
+
+    def tau(self, resolution: int) -> float:
+        """Truncation distance at a resolution, in metres."""
+        return self.truncation_voxels * self.extent / resolution
+
+
+class Header(Strict):
+    """What a checkpoint says about itself.
+
+    Attributes:
+        schema_version: of the format.
+        level: from 1.
+        resolution: voxels a side.
+        epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
+        metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
+        settings: of the run.
+        built_on: SHA-256 of the file of the level before.
+        torch: version of PyTorch.
+    """
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = CHECKPOINT_SCHEMA
+    level: Positive
+    resolution: Positive
+    architecture: Architecture
+    data: DataFacts
+    epoch: Positive
+    steps: Positive
+    metrics: dict[str, Real]
+    settings: dict[str, Any]
+    built_on: Sha256 | None
+    torch: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return self.model_dump(mode="json", by_alias=True)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedRun:
+    """A run's best checkpoints.
+
+    Attributes:
+        path: the folder.
+        network: in evaluation mode, on the CPU; it has the levels that are trained.
+        headers: of each level, coarse to fine.
+    """
+
+    path: Path
+    network: OctNetFusion
+    headers: tuple[Header, ...]
+
+    @property
+    def resolutions(self) -> list[int]:
+        """Voxels a side of each level."""
+        return [header.resolution for header in self.headers]
+
+    @property
+    def data(self) -> DataFacts:
+        """What the last level was trained on."""
+        return self.headers[-1].data
+
+    def check_fits(self, where: str, *, encoding: str | None = None,
+                   truncation_voxels: float | None = None, resolutions: list[int] | None = None) -> None:
+        """Refuse data that mean something else than what the network was trained on.
+
+        Raises:
+            OcnfError: code `misfit`, with the field.
+        """
+        first = self.headers[0]
+        asked = (("encoding", encoding, str(first.architecture.encoding)),
+                 ("truncation_voxels", truncation_voxels, first.data.truncation_voxels),
+                 ("resolutions", resolutions, self.resolutions))
+        for field, found, expected in asked:
+            near = isinstance(found, float) and abs(found - float(str(expected))) < 1e-3
+            if found is not None and found != expected and not near:
+                raise OcnfError("the network was trained on something else", code="misfit", where=where,
+                                field=field, found=found, expected=f"{expected}, as in {self.path}")
+
+
+def save_checkpoint(folder: Path, header: Header, weights: Mapping[str, Tensor]) -> None:
+    """Write a level's checkpoint over the one before it."""
+    write_tensors(checkpoint_path(folder, header.level), weights, header.to_dict())
+    Store(folder).put_bytes(f"level-{header.level}.json", canonical_json(header.to_dict(), indent=2))
+
+
+def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
+    """Put a checkpoint's weights into a level (from 0) of a network.
+
+    Raises:
+        OcnfError: it is missing or damaged, of another schema, or does not fit the network.
+    """
+    path = checkpoint_path(folder, level + 1)
+    weights, fields = read_tensors(path)
+    header = parse_header(path, fields)
+    if header.level != level + 1:
+        raise _misfit(path, "level", header.level, level + 1)
+    for field, expected in (("encoding", network.encoding), ("join", network.join), ("carry", network.carry),
+                            ("output", network.output), ("channels", network.channels),
+                            ("band", network.band)):
+        found = getattr(header.architecture, field)
+        if found != expected:
+            raise _misfit(path, field, found, expected)
+    own = network.levels[level].state_dict()
+    if missing := sorted(own.keys() ^ weights.keys()):
+        raise _misfit(path, missing[0], "there" if missing[0] in weights else "nothing",
+                      f"the tensors {', '.join(own)}")
+    for name, tensor in weights.items():
+        if tensor.shape != own[name].shape or tensor.dtype != own[name].dtype:
+            raise _misfit(path, name, f"{tensor.dtype} {tuple(tensor.shape)}",
+                          f"{own[name].dtype} {tuple(own[name].shape)}")
+        if not tensor.isfinite().all():
+            raise OcnfError("weights that are not finite", code="damaged", where=path, field=name)
+    network.levels[level].load_state_dict(weights)
+    return header
+
+
+def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
+    """The best checkpoint of every level that has one.
+
+    Args:
+        path: a run's folder, or `pretrained`.
+        levels: how many are needed; None takes what there is.
+
+    Raises:
+        OcnfError: none is there, or fewer than asked for; or they are damaged or do not go together.
+    """
+    folder = run_folder(path)
+    there = trained_levels(folder)
+    if there < (levels or 1):
+        raise OcnfError("too few levels are trained", code="missing", where=folder, field="levels",
+                        found=there, expected=f"at least {levels or 1}",
+                        fix="go on with `ocnf-model train`, with the same arguments as before")
+    levels = levels or there
+    headers = [parse_header(file, read_header(file))
+               for file in (checkpoint_path(folder, level) for level in range(1, levels + 1))]
+    network = headers[0].architecture.network(levels)
+    for level, header in enumerate(headers):
+        load_level(folder, network, level)
+        if header.built_on != (checkpoint_sha256(folder, level) if level else None):
+            raise OcnfError("the level was trained on other weights of the level before", code="misfit",
+                            where=checkpoint_path(folder, level + 1), field="built_on",
+                            fix="do not mix files of different runs, or replace them")
+    return TrainedRun(folder, network.eval().requires_grad_(False), tuple(headers))
+
+
+def load_run(path: str | Path, levels: int | None = None) -> OctNetFusion:
+    """The network of `open_run`."""
+    return open_run(path, levels).network
+
+
+def run_folder(path: str | Path) -> Path:
+    """The folder of a run, or of the checkpoints that come with the package.
+
+    Raises:
+        OcnfError: there is no such folder.
+    """
+    if str(path) != PRETRAINED:
+        folder = Path(path).expanduser()
+        if not folder.is_dir():
+            raise OcnfError("no such run", code="missing", where=folder,
+                            expected=f"a folder made by `ocnf-model train`, or {PRETRAINED}")
+        return folder
+    if not checkpoint_path(_PRETRAINED_FOLDER, 1).is_file():
+        raise OcnfError("this version comes without pretrained weights", code="missing", where=PRETRAINED,
+                        fix="train some: ocnf-model train DATA --out RUN")
+    return _PRETRAINED_FOLDER
+
+
+def trained_levels(folder: Path) -> int:
+    """How many levels, from the first on, have a checkpoint."""
+    level = 0
+    while checkpoint_path(folder, level + 1).is_file():
+        level += 1
+    return level
+
+
+def checkpoint_path(folder: Path, level: int) -> Path:
+    """The file of a level (from 1)."""
+    return folder / f"level-{level}.safetensors"
+
+
+def checkpoint_sha256(folder: Path, level: int) -> str:
+    """Checksum of the file of a level (from 1)."""
+    path = checkpoint_path(folder, level)
+    with storage_errors(path):
+        return sha256_hex(path.read_bytes())
+
+
+def parse_header(path: Path, fields: Mapping[str, Any]) -> Header:
+    """A checkpoint's header.
+
+    Raises:
+        OcnfError: another schema version (code `schema`), or a field that is wrong.
+    """
+    if fields.get("schema") != CHECKPOINT_SCHEMA:
+        raise OcnfError("the checkpoint has another schema version", code="schema", where=path,
+                        field="schema", found=fields.get("schema"), expected=CHECKPOINT_SCHEMA,
+                        fix="read it with the version of ocnf that wrote it, or train again")
+    return validate(Header, fields, path)
+
+
+def torch_version() -> str:
+    """Of PyTorch, for headers."""
+    return str(torch.__version__)
+
+
+def _misfit(path: Path, field: str, found: object, expected: object) -> OcnfError:
+    return OcnfError("the checkpoint does not fit the network", code="misfit", where=path, field=field,
+                     found=found, expected=expected)

@@ -1,0 +1,169 @@
+"""`ocnf-model`: train, evaluate, use and look at networks.
+
+A command imports what it needs when it runs, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ocnf_data.errors import OcnfError
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+                  rich_markup_mode="markdown",
+                  help="OctNetFusion: train it, evaluate it, fuse depth with it, look at it.")
+_out = Console(emoji=False)
+_err = Console(stderr=True, emoji=False)
+_debug = False
+
+
+class Method(StrEnum):
+    """How depth is fused."""
+
+    OURS = "ours"
+    TVL1 = "tvl1"
+    VOLFUS = "volfus"
+
+
+Run = Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, or `pretrained`.")]
+Data = Annotated[str, typer.Argument(metavar="DATA", help="A data set: a folder, or an fsspec URL.")]
+Device = Annotated[str, typer.Option(metavar="NAME", help="auto, cpu, cuda, cuda:1.")]
+
+
+@app.callback()
+def _options(debug: Annotated[bool, typer.Option(
+        "--debug", help="Show where in the code an error was raised.")] = False) -> None:
+    global _debug
+    _debug = debug
+
+
+@app.command()
+def train(
+    data: Data,
+    out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
+    levels: Annotated[int | None, typer.Option(min=1, help="Resolutions, coarse to fine. [3]")] = None,
+    device: Device = "auto",
+    settings: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="YAML or JSON with any of the settings; options go before it.")] = None,
+    encoding: Annotated[str | None, typer.Option(
+        help="occupancy, tsdf, tdf_occupancy or histogram. [histogram]")] = None,
+    variant: Annotated[str | None, typer.Option(help="Name of the inputs in the manifest.")] = None,
+    epochs: Annotated[str | None, typer.Option(
+        metavar="N,...", help="For each level; the last one holds for all that follow. [50,25,25]")] = None,
+    batch_size: Annotated[str | None, typer.Option(
+        metavar="N,...", help="Samples a batch, for each level and process. [4,1,1]")] = None,
+    accumulate: Annotated[str | None, typer.Option(
+        metavar="N,...", help="Batches a step, for each level. [1,4,4]")] = None,
+    learning_rate: Annotated[str | None, typer.Option(
+        metavar="X,...", help="Of Adam, for each level. [1e-4]")] = None,
+    channels: Annotated[str | None, typer.Option(
+        metavar="A,B,C", help="Of the three resolutions within a level. [16,32,64]")] = None,
+    join: Annotated[str | None, typer.Option(help="concat or add. [concat]")] = None,
+    carry: Annotated[str | None, typer.Option(help="features or reconstruction. [features]")] = None,
+    output: Annotated[str | None, typer.Option(help="tsdf or occupancy. [the data set's target]")] = None,
+    augment: Annotated[str | None, typer.Option(help="none, rotations, flips or all. [none]")] = None,
+    precision: Annotated[str | None, typer.Option(
+        help="float32, or bfloat16 for the activations. [float32]")] = None,
+    checkpointing: Annotated[bool | None, typer.Option(
+        "--checkpointing/--no-checkpointing", help="Compute activations again instead of keeping them.",
+        show_default=False)] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of weights and order. [0]")] = None,
+    workers: Annotated[int | None, typer.Option(
+        min=0, help="Reading processes, for each training process. [1]")] = None,
+) -> None:
+    """Train a network, stage by stage, coarse to fine; by default with the paper's schedule.
+
+    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was. RUN gets the best
+    checkpoint of every level, the curves as CSV and for TensorBoard, and the settings.
+
+    `torchrun --nproc-per-node N -m ocnf_model.cli train ...` trains on N GPUs.
+    """
+    from ocnf_model.train import train as run
+    from ocnf_model.training.options import merge_options
+
+    chosen = merge_options(
+        settings,
+        {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
+         "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
+         "seed": seed, "workers": workers},
+        {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
+         "learning_rate": learning_rate},
+        channels)
+    try:
+        run(data, out, chosen, device=device, console=_err)
+    except KeyboardInterrupt:
+        _err.print(f"[yellow]stopped; the same command goes on in {_escaped(str(out))}[/]", highlight=False)
+        raise typer.Exit(130) from None
+    _out.print(f"trained: {_escaped(str(out))}", highlight=False)
+
+
+@app.command()
+def info(run: Run) -> None:
+    """Show a network's layers, shapes and parameters, and how it was trained."""
+    from ocnf_model.info import print_info
+
+    print_info(run, _out)
+
+
+@app.command()
+def evaluate(
+    run: Run,
+    data: Data,
+    split: Annotated[str, typer.Option(help="Of the data set.")] = "test",
+    out: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="Where tables and figure go; RUN/evaluation if not given.")] = None,
+    device: Device = "auto",
+    method: Annotated[list[Method] | None, typer.Option(help="May be repeated. [all]")] = None,
+) -> None:
+    """Compare the network with plain and TV-L1 fusion: errors, overlap and time, as tables and a figure."""
+    from ocnf_model.evaluate import run_evaluate
+
+    methods = [str(name) for name in method] if method else None
+    run_evaluate(run, data, split=split, out=out, device=device, methods=methods)
+
+
+@app.command()
+def fuse(
+    run: Run,
+    scan: Annotated[str, typer.Argument(
+        metavar="SCAN", help="Depth with poses: `views.h5::KEY`, or a folder of frames.")],
+    out: Annotated[Path, typer.Option(metavar="MESH", help="The mesh to write: .ply, .obj, .off or .stl.")],
+    box: Annotated[tuple[float, float, float, float, float, float] | None, typer.Option(
+        metavar="X0 Y0 Z0 X1 Y1 Z1",
+        help="Region in the scan's coordinates; the largest object if not given.")] = None,
+    method: Annotated[Method, typer.Option(help="What fuses.")] = Method.OURS,
+    resolution: Annotated[int | None, typer.Option(
+        help="Voxels along the region; the finest that RUN has if not given.")] = None,
+    device: Device = "auto",
+) -> None:
+    """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
+    from ocnf_model.fuse import run_fuse
+
+    run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device)
+
+
+def main() -> None:
+    """Run the command line; a user's error is one red sentence and exit status 1."""
+    try:
+        app()
+    except OcnfError as error:
+        if _debug:
+            raise
+        _err.print(f"[red]error:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
+        sys.exit(1)
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""What `ocnf-model info` prints: a network's layers, and how it was trained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from torch import nn
+
+from ocnf_model.checkpoint import Header, TrainedRun, open_run, run_folder, trained_levels
+from ocnf_model.network import OctNetFusion
+from ocnf_model.ops import OctreeConv3d
+
+# Blocks that work below their level's resolution, and by how much.
+_HALVINGS = {"down2": 1, "bottom": 2, "up2": 1}
+
+
+def print_info(run: str | Path, console: Console) -> None:
+    """Print layers, shapes and parameters of a run's network, and its training.
+
+    Raises:
+        OcnfError: there is no such run, or its checkpoints are damaged.
+    """
+    folder = run_folder(run)
+    if not trained_levels(folder):
+        from ocnf_model.train import read_run_settings
+
+        settings, data = read_run_settings(folder)
+        console.print(f"{folder}: {settings.levels} levels to be trained on {data.name} ({data.n_train} "
+                      "samples); no epoch is finished yet", highlight=False, markup=False)
+        return
+    trained = open_run(folder)
+    console.print(layer_table(trained.network, trained.resolutions))
+    console.print(training_table(trained))
+    for line in _facts(trained.headers[-1]):
+        console.print(line, highlight=False, markup=False)
+
+
+def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
+    """A row a layer: name, resolution, channels, shape of the weight, parameters."""
+    table = Table(title="layers", show_footer=True)
+    n_parameters = sum(parameter.numel() for parameter in network.parameters())
+    for title, footer in (("layer", "all"), ("voxels", ""), ("channels", ""), ("weight", ""),
+                          ("parameters", f"{n_parameters:,}")):
+        table.add_column(title, footer, justify="left" if title == "layer" else "right")
+    level_before = "0"
+    for name, module in network.named_modules():
+        if not isinstance(module, OctreeConv3d | nn.Linear):
+            continue
+        _, level, block = name.split(".")[:3]
+        if level != level_before:
+            table.add_section()
+            level_before = level
+        out, into = module.weight.shape[:2]
+        side = resolutions[int(level)] >> _HALVINGS.get(block, 0)
+        table.add_row(name, f"{side}³", f"{into} -> {out}", "x".join(map(str, module.weight.shape)),
+                      f"{sum(parameter.numel() for parameter in module.parameters()):,}")
+    return table
+
+
+def training_table(trained: TrainedRun) -> Table:
+    """A row a level: its best epoch and what was measured then."""
+    table = Table(title="best checkpoints, by validation MAD")
+    columns = ["level", "resolution", "epoch", "steps", *trained.headers[0].metrics]
+    for title in columns:
+        table.add_column(title, justify="right")
+    for header in trained.headers:
+        table.add_row(str(header.level), f"{header.resolution}³", str(header.epoch), str(header.steps),
+                      *(f"{value:.4g}" for value in header.metrics.values()))
+    return table
+
+
+def _facts(header: Header) -> list[str]:
+    data, architecture = header.data, header.architecture
+    variant = "" if data.variant is None else f", inputs {data.variant}"
+    return [
+        f"network: {architecture.encoding} -> {architecture.output}, join by {architecture.join}, carries "
+        f"{architecture.carry}, band {architecture.band:g}",
+        f"trained on {data.name}{variant}: {data.n_train} samples, {data.n_val} to validate; cube of "
+        f"{data.extent:g} m, tau {data.truncation_voxels:.4g} voxels",
+        f"data set {data.checksum[:16]}, PyTorch {header.torch}",
+    ]

@@ -1,0 +1,48 @@
+"""Settings from a file and from the command line's options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.training.settings import TrainSettings, load_settings, read_settings
+
+
+def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: Mapping[str, str | None],
+                  channels: str | None = None) -> TrainSettings:
+    """The settings of a file, or the defaults, with what was given on the command line put over them.
+
+    Args:
+        file: YAML or JSON, or None.
+        options: fields of `TrainSettings`; None where not given.
+        stage_options: fields of `Stage`, each a list such as `50,25`, for the levels from the first on, of
+            which the last one holds for all that follow; None where not given.
+        channels: as `16,32,64`.
+
+    Raises:
+        OcnfError: a field that is unknown or impossible, by name.
+    """
+    where = "the command line" if file is None else file
+    fields: dict[str, Any] = {} if file is None else load_settings(file)
+    fields |= {name: value for name, value in options.items() if value is not None}
+    if channels is not None:
+        fields["channels"] = _numbers("channels", channels)
+    lists = {name: _numbers(name, text) for name, text in stage_options.items() if text is not None}
+    settings = read_settings(fields, where)
+    if not lists:
+        return settings
+    n_stages = max(len(settings.stages), *map(len, lists.values()))
+    stages = [settings.stage(level).model_dump()
+              | {name: values[min(level, len(values) - 1)] for name, values in lists.items()}
+              for level in range(n_stages)]
+    return read_settings({**settings.to_dict(), "stages": stages}, where)
+
+
+def _numbers(name: str, text: str) -> list[int | float]:
+    try:
+        return [int(part) if part.strip().isdigit() else float(part) for part in text.split(",")]
+    except ValueError:
+        raise OcnfError("not a list of numbers", where="the command line", field=name, found=repr(text),
+                        expected="such as 50,25,25") from None

@@ -1,0 +1,171 @@
+"""Every part of a training run as a setting; the defaults are the paper's schedule.
+
+>>> settings = TrainSettings()
+>>> settings.stage(0).epochs, settings.stage(0).batch_size, settings.stage(2).accumulate
+(50, 4, 4)
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Annotated, Any
+
+from pydantic import Field, field_validator
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.loading.augment import Augment
+from ocnf_data.loading.settings import OnError
+from ocnf_data.strict_yaml import read_yaml
+from ocnf_data.validation import Int, NotEmpty, Real, Strict, refused, validate
+from ocnf_model.network import Carry, Join, Output
+
+Positive = Annotated[Int, Field(ge=1)]
+
+
+class Precision(StrEnum):
+    """What the convolutions compute in; weights, losses and Adam stay float32."""
+
+    FLOAT32 = "float32"
+    BFLOAT16 = "bfloat16"
+    """Autocast: half the memory of the activations."""
+
+
+class Stage(Strict):
+    """How one level is trained; the defaults are those of the later levels."""
+
+    epochs: Positive = 25
+    batch_size: Positive = 1
+    """Samples a batch, for each process."""
+    accumulate: Positive = 4
+    """Batches whose gradients are averaged for one step; fewer at the end of an epoch."""
+    learning_rate: Annotated[Real, Field(gt=0)] = 1e-4
+    """Of Adam, constant."""
+    weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
+    """Added to the gradient, times the weights."""
+
+
+class TrainSettings(Strict):
+    """A training run. None means: what the data set says."""
+
+    levels: Positive = 3
+    resolutions: tuple[Positive, ...] | None = None
+    """Voxels a side of each level, each twice the one before; None for the data set's, coarse to fine."""
+    encoding: Encoding = Encoding.HISTOGRAM
+    variant: str | None = None
+    """Name of the inputs in the manifest; None for the only one that has the encoding."""
+    categories: tuple[str, ...] | None = None
+    train_split: str = "train"
+    val_split: str = "val"
+    join: Join = Join.CONCAT
+    carry: Carry = Carry.FEATURES
+    output: Output | None = None
+    """None for the data set's target."""
+    channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
+    band: Annotated[Real, Field(gt=0)] = 1.0
+    """Of the structure module, in fine voxels."""
+    stages: Annotated[tuple[Stage, ...], NotEmpty] = (
+        Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
+    """One for each level; the last one holds for all that follow."""
+    seed: Annotated[Int, Field(ge=0)] = 0
+    """Of the weights, the order of the samples and the augmentation."""
+    augment: Augment = Augment.NONE
+    shuffle_buffer: Positive = 1024
+    precision: Precision = Precision.FLOAT32
+    on_error: OnError = OnError.RAISE
+    checkpointing: bool = False
+    """Keep fewer activations for the backward pass, and compute them again."""
+    workers: Annotated[Int, Field(ge=0)] = 1
+    """Processes that read and decode, for each training process; 0 reads in the training process."""
+    save_every: Positive = 50
+    """Steps of the optimiser between two saved states, apart from those at the ends of epochs."""
+
+    @field_validator("resolutions")
+    @classmethod
+    def _doubling(cls, resolutions: tuple[int, ...] | None) -> tuple[int, ...] | None:
+        for fine, coarse in zip((resolutions or ())[1:], resolutions or (), strict=False):
+            if fine != 2 * coarse:
+                raise refused("not coarse to fine", expected="each twice the one before")
+        return resolutions
+
+    def stage(self, level: int) -> Stage:
+        """How a level (from 0) is trained."""
+        return self.stages[min(level, len(self.stages) - 1)]
+
+    def resolved(self, manifest: Mapping[str, Any], variant: str | None, where: str) -> TrainSettings:
+        """With what the data set says filled in.
+
+        Args:
+            manifest: of the data set.
+            variant: of the inputs that the loader chose.
+            where: the data set, for messages.
+
+        Raises:
+            OcnfError: the data set has too few resolutions, or not the output's ground truth.
+        """
+        there = sorted(manifest["resolutions"])
+        resolutions = self.resolutions or tuple(there[: self.levels])
+        if len(resolutions) != self.levels:
+            raise OcnfError("the levels do not fit the resolutions", where=where, field="levels",
+                            found=self.levels, expected=f"{len(resolutions)}, for {resolutions}",
+                            fix=f"pass --levels {len(resolutions)}")
+        target = Output(manifest["target"])
+        output = self.output or target
+        if output is Output.TSDF and target is Output.OCCUPANCY:
+            raise OcnfError("the data set holds no TSDF to learn", where=where, field="output", found=output,
+                            expected=target)
+        filled = {**self.to_dict(), "resolutions": list(resolutions), "output": str(output),
+                  "variant": variant or self.variant}
+        return read_settings(filled, where)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values of all fields."""
+        return self.model_dump(mode="json")
+
+
+FREE_TO_CHANGE = frozenset({"checkpointing", "workers", "save_every"})
+"""Fields that another start of the same run may set otherwise: the weights do not depend on them."""
+
+
+def difference(ours: TrainSettings, theirs: TrainSettings) -> tuple[str, Any, Any] | None:
+    """The first field in which two runs differ: its name, our value, their value."""
+    return _difference(_fixed(ours), _fixed(theirs), "")
+
+
+def _fixed(settings: TrainSettings) -> dict[str, Any]:
+    return {name: value for name, value in settings.to_dict().items() if name not in FREE_TO_CHANGE}
+
+
+def _difference(ours: Any, theirs: Any, at: str) -> tuple[str, Any, Any] | None:
+    if ours == theirs:
+        return None
+    if isinstance(ours, dict):
+        found = (_difference(ours[name], theirs[name], f"{at}.{name}" if at else name) for name in ours)
+    elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
+        found = (_difference(a, b, f"{at}[{i}]") for i, (a, b) in enumerate(zip(ours, theirs, strict=True)))
+    else:
+        return at, ours, theirs
+    return next(difference for difference in found if difference)
+
+
+def read_settings(fields: Mapping[str, Any], where: object) -> TrainSettings:
+    """Settings from JSON or YAML values.
+
+    Raises:
+        OcnfError: a field that is unknown or impossible, by name.
+    """
+    return validate(TrainSettings, fields, where)
+
+
+def load_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The fields in a YAML or JSON file, for `read_settings`.
+
+    Raises:
+        OcnfError: it cannot be read, or is not a mapping.
+    """
+    fields = read_yaml(path)
+    if not isinstance(fields, dict):
+        raise OcnfError("not a mapping of fields to values", where=path, found=type(fields).__name__)
+    return fields

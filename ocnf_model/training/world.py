@@ -1,0 +1,104 @@
+"""The processes that train together: one, or those that `torchrun` started.
+
+    rank        this process among all of them
+    local rank  this process among those of its machine: the number of its GPU
+    world size  how many there are
+
+Every rank has the same weights. A step averages the gradients over the ranks, so two ranks with batches of b
+do what one does with batches of 2 b: the loader deals the samples of such a batch out to them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from ocnf_data.errors import OcnfError
+
+
+@dataclass(frozen=True)
+class World:
+    """This process's place, and its device."""
+
+    device: torch.device
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def is_main(self) -> bool:
+        """Whether this rank writes the files."""
+        return self.rank == 0
+
+    def average_gradients(self, parameters: Sequence[Tensor]) -> None:
+        """Replace the gradients by their means over the ranks."""
+        if self.size == 1:
+            return
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        dist.all_reduce(flat)
+        flat /= self.size
+        for gradient, mean in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+            gradient.copy_(mean.view_as(gradient))
+
+    def sum(self, values: Sequence[float]) -> list[float]:
+        """Sums over the ranks, in float64."""
+        if self.size == 1:
+            return list(values)
+        total = torch.tensor(values, dtype=torch.float64, device=self.device)
+        dist.all_reduce(total)
+        sums: list[float] = total.tolist()
+        return sums
+
+    def wait(self) -> None:
+        """Until all ranks are here."""
+        if self.size > 1:
+            dist.barrier()
+
+
+@contextmanager
+def join_world(device: str) -> Iterator[World]:
+    """Meet the other ranks, if `torchrun` started this process.
+
+    Args:
+        device: `auto`, `cpu`, `cuda`, or `cuda:1`.
+
+    Raises:
+        OcnfError: no such device.
+    """
+    size = int(os.environ.get("WORLD_SIZE", "1"))
+    if size == 1 or dist.is_initialized():
+        rank, size = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
+        yield World(pick_device(device), rank, size)
+        return
+    chosen = pick_device(device)
+    if chosen.type == "cuda":
+        chosen = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        torch.cuda.set_device(chosen)
+    dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+    try:
+        yield World(chosen, dist.get_rank(), dist.get_world_size())
+    finally:
+        dist.destroy_process_group()
+
+
+def pick_device(name: str) -> torch.device:
+    """The device of that name; `auto` is a GPU where there is one.
+
+    Raises:
+        OcnfError: no such device.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:  # torch built without CUDA asserts
+        raise OcnfError("no such device here", field="device", found=name,
+                        expected=f"auto or cpu ({str(error).splitlines()[0]})") from error
+    return device
