@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import embedding_bag
 
 from ocnf_data.errors import OcnfError
@@ -99,6 +100,7 @@ class _Product(torch.autograd.Function):
         return leaf_map.product(features)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         return ctx.leaf_map.adjoint(grad.contiguous()), None
 
