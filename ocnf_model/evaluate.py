@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ocnf_data.octree import GridOctree
 from ocnf_data.storage import Store
-from ocnf_model.evaluation.devices import pick_device
+from ocnf_model.checkpoint import open_run
 from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
 from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
@@ -20,6 +20,7 @@ from ocnf_model.evaluation.report import Summary, markdown, print_tables, summar
 from ocnf_model.evaluation.weights import read_weights, run_choose_weight
 from ocnf_model.network import OctNetFusion
 from ocnf_model.octree import OctreeBatch
+from ocnf_model.training.world import pick_device
 
 __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 
@@ -80,17 +81,17 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
     """
     console = console or Console()
-    network = None
+    network, sides = None, None
     if methods is None or Method.OURS in methods:
-        from ocnf_model.checkpoint import load_run
-
-        network = load_run(run).to(pick_device(device)).eval()
+        trained = open_run(run)
+        trained.check_fits(data, truncation_voxels=Facts.read(data).truncation_voxels)
+        network, sides = trained.network.to(pick_device(device)), trained.resolutions
     folder = Path(run) if Path(run).is_dir() else None
     if weights is None and folder is not None and (folder / WEIGHTS_FILE).exists():
         weights = folder / WEIGHTS_FILE
     if out is None and folder is not None:
         out = folder / "evaluation" / split
-    found = evaluate(network, data, split=split, methods=methods, weights=weights, limit=limit,
+    found = evaluate(network, data, sides=sides, split=split, methods=methods, weights=weights, limit=limit,
                      n_figures=n_figures if out is not None else 0, up=up, console=console,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
     print_tables(console, found.summaries, found.notes)
@@ -100,17 +101,32 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
     return found
 
 
-def evaluate(network: OctNetFusion | None, data: str, *, split: str = "test",
-             methods: Sequence[str] | None = None, weights: Path | None = None, limit: int | None = None,
-             n_figures: int = 0, up: str = "z", console: Console | None = None,
-             title: str = "") -> Evaluation:
-    """Evaluate a network where it is, or the baselines alone; arguments as for `run_evaluate`."""
+def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | None = None,
+             split: str = "test", methods: Sequence[str] | None = None,
+             weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
+             console: Console | None = None, title: str = "") -> Evaluation:
+    """Evaluate a network where it is, or the baselines alone.
+
+    Args:
+        network: in evaluation mode; None: the baselines alone.
+        data: a data set, folder or URL.
+        sides: resolutions of the network's levels; None: the data set's, from the lowest on.
+        split: of it.
+        methods: as for `run_evaluate`.
+        weights: TV-L1's, a file; None: `DEFAULT_WEIGHTS`.
+        limit: the first so many models only.
+        n_figures: how many models are drawn.
+        up: which axis of the models points up.
+        console: for the progress; None shows none.
+        title: of the report.
+    """
     facts = Facts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
     if network is None and methods is None:
         chosen = tuple(method for method in chosen if method is not Method.OURS)
-    if Method.OURS in chosen and network is not None:
-        level_sides(facts, len(network.levels))  # before anything long begins
+    levels: list[int] = []
+    if network is not None and Method.OURS in chosen:
+        levels = level_sides(facts, sides or facts.resolutions[: len(network.levels)])
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
     weight = _weights(weights, plans, facts.resolutions, notes)
@@ -122,7 +138,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, split: str = "test",
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for plan, models in zip(plans, sets, strict=True):
             task = progress.add_task(plan.variant, total=len(models))
-            bench, drawn = Bench(facts, plan, weight, network), set[str]()
+            bench, drawn = Bench(facts, plan, weight, network, levels), set[str]()
             for model in models:
                 draw = len(drawn) < n_figures and model.category not in drawn
                 surfaces: dict[tuple[int, str], Surface] = {}

@@ -13,6 +13,7 @@ A pixel without a measurement becomes 0, never a free ray: a camera that measure
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +34,8 @@ _DEPTH, _POSE = ".depth.png", ".pose.txt"
 _NO_MEASUREMENT = 65535  # some writers mean this, others 0
 _METRES = np.float32(1e-3)
 _MAX_TEXT = 65_536  # bytes; sixteen numbers take less
-_MAX_IMAGE = 2**27
+_MAX_IMAGE = 2**27  # bytes
+_MAX_PIXELS = 2**26
 _MAX_FRAMES = 20_000
 _MAX_BYTES = 2**34  # of depth as float32: 14,000 frames at 640x480
 
@@ -196,19 +198,37 @@ def _image(file: Path) -> npt.NDArray[np.uint16]:
                         fix="pip install 'ocnf[generate]'") from error
     with storage_errors(file), file.open("rb") as opened:
         data = opened.read(_MAX_IMAGE)
-    header = np.frombuffer(data[16:26], ">u4", count=2) if len(data) >= 26 else np.zeros(2, np.uint32)
-    if not data.startswith(b"\x89PNG") or not 0 < int(header[0]) * int(header[1]) <= _MAX_IMAGE:
-        raise OcnfError("not a PNG, or an impossible size", code="unreadable", where=file)
+    _check_png(file, data)
     try:
         image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise OcnfError("not a readable PNG", code="unreadable", where=file) from error
+        raise OcnfError("not a readable PNG", code="damaged", where=file) from error
     if image is None:
-        raise OcnfError("not a readable PNG", code="unreadable", where=file)
+        raise OcnfError("not a readable PNG", code="damaged", where=file)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise OcnfError("not a depth map", where=file, found=f"{image.dtype} {image.shape}",
                         expected="one channel of 16 bits, millimetres")
     return np.ascontiguousarray(image)
+
+
+def _check_png(file: Path, data: bytes) -> None:
+    """Refuse what OpenCV would decode in part without a word, or allocate too much for.
+
+    A PNG is a signature and chunks: length, name, content, CRC-32 of name and content; IEND is the last.
+    """
+    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
+        raise OcnfError("not a PNG", code="unreadable", where=file)
+    at, name = 8, b""
+    while name != b"IEND":
+        length = int.from_bytes(data[at : at + 4], "big")
+        name, end = data[at + 4 : at + 8], at + 8 + length
+        if len(data) < end + 4 or zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+            raise OcnfError("the PNG is cut off or damaged", code="damaged", where=file)
+        at = end + 4
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if not 0 < width * height <= _MAX_PIXELS:
+        raise OcnfError("impossible size of image", where=file, found=f"{width}x{height}",
+                        expected=f"at most {_MAX_PIXELS} pixels")
 
 
 _READERS: list[tuple[Callable[[str, str], bool], Callable[[str, int], Scan]]] = [

@@ -52,7 +52,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
             if column == 0:
                 ax.set_ylabel(f"{side}³", fontsize=11)
     figure.suptitle(title, fontsize=11)
-    figure.tight_layout(pad=0.3)
+    figure.tight_layout(pad=0.3, rect=(0, 0, 1, 1 - 0.3 / figure.get_figheight()))
     picture = io.BytesIO()
     FigureCanvasAgg(figure).print_png(picture)
     return picture.getvalue()

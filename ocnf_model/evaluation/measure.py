@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import takewhile
 
 import numpy as np
 import numpy.typing as npt
@@ -92,12 +92,13 @@ class Bench:
         plan: which methods, and what they take.
         weight: TV-L1's.
         network: for `ours`; on its device, in evaluation mode.
+        sides: resolutions of the network's levels that the data set has.
     """
 
-    def __init__(self, facts: Facts, plan: Plan, weight: Weight, network: OctNetFusion | None) -> None:
-        self._facts, self._plan, self._weight, self._network = facts, plan, weight, network
-        if network is not None:
-            self._levels = level_sides(facts, len(network.levels))
+    def __init__(self, facts: Facts, plan: Plan, weight: Weight, network: OctNetFusion | None,
+                 sides: Sequence[int]) -> None:
+        self._facts, self._plan, self._weight = facts, plan, weight
+        self._network, self._sides = network, sides
 
     def run(self, model: Model) -> Iterator[Result]:
         """The results of all methods at all resolutions that the model was read at."""
@@ -111,9 +112,9 @@ class Bench:
                      encoding: Encoding) -> Iterator[tuple[int, Field, float]]:
         if method is Method.OURS and self._network is not None:
             device = next(self._network.parameters()).device
-            batches = [OctreeBatch.from_grids([inputs[side]]) for side in self._levels]
+            batches = [OctreeBatch.from_grids([inputs[side]]) for side in self._sides]
             is_occupancy = self._network.output is Output.OCCUPANCY
-            for side, reached in zip(self._levels, run_levels(self._network, batches, device), strict=True):
+            for side, reached in zip(self._sides, run_levels(self._network, batches, device), strict=True):
                 yield side, Field(reached.reconstruction, is_occupancy), reached.seconds
             return
         for side, octree in inputs.items():
@@ -138,15 +139,16 @@ class Bench:
                    field.volume.n_leaves)
 
 
-def level_sides(facts: Facts, n_levels: int) -> list[int]:
-    """Resolutions of the network's levels: the data set's lowest ones, as many as both have.
+def level_sides(facts: Facts, sides: Sequence[int]) -> list[int]:
+    """Resolutions of the network's levels, `sides`, coarse to fine, as far as the data set has them.
 
     Raises:
-        OcnfError: they do not double from one to the next, or the lowest is no multiple of 32.
+        OcnfError: it has not even the first.
     """
-    sides = list(facts.resolutions[:n_levels])
-    if sides[0] % 32 or any(b != 2 * a for a, b in pairwise(sides)):
-        raise OcnfError("the network cannot run at the data set's resolutions", where=facts.url,
-                        field="resolutions", found=sides,
-                        expected="a multiple of 32, each twice the one before")
-    return sides
+    shared = list(takewhile(lambda side: side in facts.resolutions, sides))
+    if not shared:
+        raise OcnfError("the data set lacks the resolution of the network's first level", code="missing",
+                        where=facts.url, field="resolutions", found=list(facts.resolutions),
+                        expected=sides[0],
+                        fix="generate it, or evaluate other methods")
+    return shared

@@ -19,9 +19,6 @@ from ocnf_model.evaluation.devices import memory_errors, wait_for
 from ocnf_model.network import LevelOutput, OctNetFusion
 from ocnf_model.octree import OctreeBatch
 
-COARSEST: Final = 64
-"""Resolution of the paper's first level."""
-
 
 class Method(StrEnum):
     """A way from depth views to a TSDF."""

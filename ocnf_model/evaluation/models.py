@@ -26,13 +26,15 @@ class Facts:
         resolutions: ascending.
         variants: the encodings of each input variant.
         is_occupancy: whether the ground truth is occupancy, not TSDF.
-        taus: truncation in metres, by resolution.
+        truncation_voxels: tau in voxels of any resolution.
+        taus: the same in metres, by resolution.
     """
 
     url: str
     resolutions: tuple[int, ...]
     variants: Mapping[str, tuple[Encoding, ...]]
     is_occupancy: bool
+    truncation_voxels: float
     taus: Mapping[int, float]
 
     @classmethod
@@ -48,6 +50,7 @@ class Facts:
                 variants={entry["name"]: tuple(map(Encoding, entry["encodings"]))
                           for entry in manifest["inputs"]},
                 is_occupancy=manifest["target"] == "occupancy",
+                truncation_voxels=voxels,
                 taus={side: voxels * extent / side for side in resolutions},
             )
         except (KeyError, TypeError, ValueError) as error:

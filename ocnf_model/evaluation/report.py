@@ -86,8 +86,8 @@ def print_tables(console: Console, summaries: Sequence[Summary], notes: Sequence
     """Show the means in the terminal."""
     for variant in dict.fromkeys(one.variant for one in summaries):
         table = Table(title=f"{variant}: mean over all models", title_justify="left")
-        for number, head in enumerate(_HEAD):
-            table.add_column(head, justify="left" if number < 2 else "right", no_wrap=True)
+        for number, title in enumerate(_HEAD):
+            table.add_column(title, justify="left" if number < 2 else "right", no_wrap=True)
         last = ""
         for cells in _lines(summaries, variant, ALL):
             if last and cells[0] != last:
