@@ -150,7 +150,7 @@ class ShardDataset(IterableDataset[Batch]):
             position, number, workers = self._cursor.claim(), 0, 1
         else:
             number, workers = worker.id, worker.num_workers
-            identity = Identity(worker.seed - worker.id, self._rounds, self._cursor.generation)
+            identity = Identity(worker.seed - worker.id, self._rounds, self._cursor.generation, workers)
             position = self._cursor.claim(number, identity)
         self._rounds += 1
         return self._batches(position.epoch, range(position.step + number, len(self), workers))

@@ -9,6 +9,7 @@ table in shared memory, under a lock. What identifies an iteration of a `DataLoa
     round       how many iterations this process has begun (persistent workers begin one each epoch)
     generation  how often `set` had been called when the process was made (tells iterations apart where the
                 user seeds torch alike before each of them, so that tokens are equal)
+    workers     how many share the iteration (a loader of four must not join what two began with equal tokens)
 
 The first worker that comes with an identity takes the next epoch and writes it down; the others find it. A
 worker that comes twice with the same identity is a new iteration too (equal tokens again). Iterations
@@ -29,8 +30,8 @@ from ocnf_data.errors import OcnfError
 
 MAX_WORKERS = 1024
 _WORD = 63  # claim bits in an int64, sign left alone
-_IDENTITY, _WHERE, _CLAIMS = slice(0, 3), slice(3, 5), slice(5, None)
-_COLUMNS = 5 + -(-MAX_WORKERS // _WORD)
+_IDENTITY, _WHERE, _CLAIMS = slice(0, 4), slice(4, 6), slice(6, None)
+_COLUMNS = 6 + -(-MAX_WORKERS // _WORD)
 _ROWS = 32  # iterations remembered: those that run at the same time, and some
 _PATIENCE = 60.0  # seconds; the lock is held for microseconds
 
@@ -41,6 +42,7 @@ class Identity(NamedTuple):
     token: int
     round: int
     generation: int
+    workers: int = 1
 
 
 class Position(NamedTuple):

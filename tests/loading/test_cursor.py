@@ -36,6 +36,13 @@ def test_equal_tokens_are_told_apart_by_who_has_come():
         [(0, 0)] * 2, [(1, 0)] * 2, [(2, 0)] * 2]
 
 
+def test_equal_tokens_of_other_numbers_of_workers_are_told_apart():
+    cursor = Cursor()
+    two, four = Identity(11, 0, 0, workers=2), Identity(11, 0, 0, workers=4)
+    assert {cursor.claim(worker, two) for worker in range(2)} == {(0, 0)}
+    assert {cursor.claim(worker, four) for worker in (2, 3, 0, 1)} == {(1, 0)}  # 2 and 3 come first
+
+
 def test_a_worker_killed_before_it_came_leaves_no_place_for_the_next_generation():
     cursor = Cursor()
     cursor.claim(0, Identity(11, 0, cursor.generation))  # worker 1 never comes
