@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -229,3 +230,16 @@ def test_info_sums_up_what_the_tars_hold(octree_set: Store,
     assert unfinished.info is None
     assert unfinished.samples == 4
     assert "unfinished" in shown(lambda console: print_info(unfinished, console))
+
+
+def test_a_pipe_in_the_place_of_a_file_is_reported_and_not_opened(opaque_set: Store) -> None:
+    """To open one waits for a writer, for ever: without the check this test hangs."""
+    assert opaque_set.root is not None
+    folder = opaque_set.root
+    (folder / "failures").mkdir(exist_ok=True)
+    for name in ("plan.json", "failures.jsonl", "failures/train-000009.jsonl"):
+        (folder / name).unlink(missing_ok=True)
+        os.mkfifo(folder / name)
+    vouched = {entry.name for entry in load_dataset(opaque_set).files}
+    problems = verify(opaque_set).problems
+    assert {problem.file for problem in problems if problem.code == "missing"} == vouched
