@@ -222,7 +222,8 @@ def _check_png(file: Path, data: bytes) -> None:
     while name != b"IEND":
         length = int.from_bytes(data[at : at + 4], "big")
         name, end = data[at + 4 : at + 8], at + 8 + length
-        if len(data) < end + 4 or zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+        crc = int.from_bytes(data[end : end + 4], "big")
+        if len(data) < end + 4 or zlib.crc32(data[at + 4 : end]) != crc:
             raise OcnfError("the PNG is cut off or damaged", code="damaged", where=file)
         at = end + 4
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
