@@ -82,7 +82,7 @@ class Header(Strict):
         resolution: voxels a side.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
         metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
-        settings: of the run.
+        settings: of the run, those that the weights depend on.
         built_on: SHA-256 of the file of the level before.
         torch: version of PyTorch.
     """

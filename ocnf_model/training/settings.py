@@ -124,6 +124,10 @@ class TrainSettings(Strict):
         """JSON values of all fields."""
         return self.model_dump(mode="json")
 
+    def decisive(self) -> dict[str, Any]:
+        """JSON values of the fields that the weights depend on."""
+        return {name: value for name, value in self.to_dict().items() if name not in FREE_TO_CHANGE}
+
 
 FREE_TO_CHANGE = frozenset({"checkpointing", "workers", "save_every"})
 """Fields that another start of the same run may set otherwise: the weights do not depend on them."""
@@ -131,11 +135,7 @@ FREE_TO_CHANGE = frozenset({"checkpointing", "workers", "save_every"})
 
 def difference(ours: TrainSettings, theirs: TrainSettings) -> tuple[str, Any, Any] | None:
     """The first field in which two runs differ: its name, our value, their value."""
-    return _difference(_fixed(ours), _fixed(theirs), "")
-
-
-def _fixed(settings: TrainSettings) -> dict[str, Any]:
-    return {name: value for name, value in settings.to_dict().items() if name not in FREE_TO_CHANGE}
+    return _difference(ours.decisive(), theirs.decisive(), "")
 
 
 def _difference(ours: Any, theirs: Any, at: str) -> tuple[str, Any, Any] | None:

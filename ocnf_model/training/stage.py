@@ -208,7 +208,7 @@ class Trainer:
             data=job.facts, epoch=row.epoch, steps=row.steps,
             metrics={"mad_mm" if network.output is Output.TSDF else "mad": row.val_mad, "iou": row.val_iou,
                      "train_loss": row.train_loss},
-            settings=job.settings.to_dict(),
+            settings=job.settings.decisive(),
             built_on=checkpoint_sha256(job.folder, row.level - 1) if row.level > 1 else None,
             torch=torch_version(),
         )

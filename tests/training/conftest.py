@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
+import torch
 
 from ocnf_data import generate
 from ocnf_data.manifest import Manifest
@@ -19,6 +22,17 @@ MANIFEST = {
     "inputs": [{"name": "v2", "views": 2, "sigma": 0.01, "encodings": ["tsdf", "tdf_occupancy"]}],
     "shards": {"samples": 4},
 }
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """On grids this small threads only wait for each other, above all beside other processes."""
+    before = torch.get_num_threads(), numba.get_num_threads()
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+    yield
+    torch.set_num_threads(before[0])
+    numba.set_num_threads(before[1])
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,70 @@
+"""Settings: the paper's defaults, files and options over them, and what tells two runs apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.training.options import merge_options
+from ocnf_model.training.settings import TrainSettings, difference, read_settings
+
+
+def test_the_defaults_are_the_papers_schedule() -> None:
+    settings = TrainSettings()
+    assert [settings.stage(level).epochs for level in range(4)] == [50, 25, 25, 25]
+    assert [stage.batch_size for stage in settings.stages] == [4, 1, 1]
+    assert [stage.accumulate for stage in settings.stages] == [1, 4, 4]
+    assert {(stage.learning_rate, stage.weight_decay) for stage in settings.stages} == {(1e-4, 1e-4)}
+    assert (settings.levels, settings.join, settings.carry, settings.channels) \
+        == (3, "concat", "features", (16, 32, 64))
+
+
+def test_settings_survive_json() -> None:
+    settings = TrainSettings(resolutions=(32, 64), variant="v2", categories=("chair",))
+    assert read_settings(settings.to_dict(), "x") == settings
+
+
+def test_options_go_before_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "s.yaml"
+    file.write_text("levels: 2\nencoding: tsdf\nstages: [{epochs: 7, batch_size: 3}, {epochs: 5}]\n")
+    settings = merge_options(file, {"encoding": "tdf_occupancy", "seed": None},
+                             {"epochs": "9", "learning_rate": "1e-3,2e-3,3e-3"}, "2,3,4")
+    assert (settings.levels, settings.encoding, settings.channels) == (2, "tdf_occupancy", (2, 3, 4))
+    assert [(s.epochs, s.batch_size, s.learning_rate) for s in settings.stages] \
+        == [(9, 3, 1e-3), (9, 1, 2e-3), (9, 1, 3e-3)]
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("level: 2", "level: unknown field"),
+    ("levels: 0", "levels: the value is not allowed; found 0"),
+    ("stages: []", "stages: the list is empty"),
+    ("stages: [{epochs: 0}]", r"stages\[0\].epochs: the value is not allowed"),
+    ("stages: [{rate: 1}]", r"stages\[0\].rate: unknown field"),
+    ("resolutions: [64, 32]", "resolutions: not coarse to fine"),
+    ("precision: float16", "precision: the value is not allowed; found 'float16', expected 'float32' or"),
+    ("[1]", "not a mapping"),
+])
+def test_a_wrong_field_is_named(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "settings.yaml"
+    file.write_text(text)
+    with pytest.raises(OcnfError, match=f"settings.yaml: {message}"):
+        merge_options(file, {}, {})
+
+
+def test_a_list_that_is_none_is_named() -> None:
+    with pytest.raises(OcnfError, match="epochs: not a list of numbers; found 'ten'"):
+        merge_options(None, {}, {"epochs": "ten"})
+    with pytest.raises(OcnfError, match=r"stages\[0\].epochs"):
+        merge_options(None, {}, {"epochs": "1.5"})
+
+
+def test_difference_names_the_field() -> None:
+    ours = TrainSettings()
+    assert difference(ours, TrainSettings(workers=7, checkpointing=True, save_every=3)) is None
+    assert difference(ours, TrainSettings(seed=1)) == ("seed", 0, 1)
+    stages = [stage.model_dump() for stage in ours.stages]
+    stages[1]["learning_rate"] = 0.5
+    assert difference(ours, read_settings({"stages": stages}, "x")) == ("stages[1].learning_rate", 1e-4, 0.5)
+    assert difference(ours, read_settings({"stages": stages[:1]}, "x"))[0] == "stages"
