@@ -42,7 +42,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
         for column, method in enumerate(methods):
             ax = axes[row, column]
             if (side, method) in surfaces:
-                ax.imshow(shade(*surfaces[side, method], size=_PIXELS, up=up, frame=frame),
+                ax.imshow(shade(*surfaces[side, method], size=_PIXELS, up=up, frame=frame, supersample=2),
                           interpolation="lanczos")
             ax.set_xticks([])
             ax.set_yticks([])
