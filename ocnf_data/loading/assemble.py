@@ -120,4 +120,4 @@ class Assembler:
             raise OcnfError("too many damaged samples in one epoch", code="too_many_bad",
                             where="ShardDataset", field="max_bad_fraction",
                             found=f"{count}, the last: {error}", expected=f"at most {self._limit}",
-                            fix="run `ocnf-data verify`, then `ocnf-data repair`") from error
+                            fix="run `ocnf-data verify`, then `ocnf-data repair`") from None

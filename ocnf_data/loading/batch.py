@@ -165,8 +165,8 @@ class Batch:
         return replace(self, arena=self.arena.to(device, non_blocking=non_blocking))
 
     def pin_memory(self) -> Batch:
-        """The batch in page-locked memory; `DataLoader(pin_memory=True)` calls this."""
-        return replace(self, arena=self.arena.pin_memory())
+        """The batch in page-locked memory, if there is a GPU; `DataLoader(pin_memory=True)` calls this."""
+        return replace(self, arena=self.arena.pin_memory()) if torch.cuda.is_available() else self
 
 
 def make_batch(assembled: Assembled, request: Request, epoch: int, step: int) -> Batch:

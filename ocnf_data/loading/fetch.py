@@ -73,7 +73,7 @@ class Fetcher:
         try:
             payloads = source.read(key, members, bool(catalogue.closes[sample]))
         except OcnfError as error:
-            raise _about(error, source.where, error.field or key) from error
+            raise _about(error, source.where, error.field or key) from None
         meta: dict[str, Any] = {}
         octrees: dict[str, RawOctree] = {}
         for member, payload in zip(members, payloads, strict=True):
@@ -83,7 +83,7 @@ class Fetcher:
                 else:
                     octrees[member.name] = _decode(member.name, payload)
             except OcnfError as error:
-                raise _about(error, source.where, f"{key}.{member.name} at byte {member.offset}") from error
+                raise _about(error, source.where, f"{key}.{member.name} at byte {member.offset}") from None
         return RawSample(key, catalogue.categories[sample], meta, octrees)
 
     def _source(self, shard: Shard) -> _Source:
@@ -191,8 +191,4 @@ def _parse_meta(payload: bytes) -> dict[str, Any]:
 
 def _decode(name: str, payload: bytes) -> RawOctree:
     _, encoding, resolution = parse_member(name)
-    octree = decode_raw(payload, TARGET if encoding is None else str(encoding))
-    if octree.shape != (resolution, resolution, resolution):
-        raise OcnfError("the octree has another resolution than its name says", code="structure",
-                        found=octree.shape, expected=resolution)
-    return octree
+    return decode_raw(payload, TARGET if encoding is None else str(encoding), resolution)

@@ -71,21 +71,26 @@ def decode(blob: bytes, kind: str | None = None) -> GridOctree:
     return decode_raw(blob, kind).to_grid()
 
 
-def decode_raw(blob: bytes, kind: str | None = None) -> RawOctree:
+def decode_raw(blob: bytes, kind: str | None = None, resolution: int | None = None) -> RawOctree:
     """The octree in its stored dtype, read-only, checked in full.
 
     Args:
         blob: what `encode` returned; any bytes are safe.
         kind: the kind it has to be, None = any.
+        resolution: the cube it has to be, voxels a side, None = any; so a few bytes that claim a large one do
+            not take its memory.
 
     Raises:
-        OcnfError: the bytes are damaged, are no octree, contradict themselves or are of another kind. Nothing
-            else is raised, and memory stays within the content size, which is checked against the header's
-            claims and `MAX_BYTES` first.
+        OcnfError: the bytes are damaged, are no octree, contradict themselves or are not what is asked for.
+            Nothing else is raised, and memory stays within the content size, which is checked against the
+            header's claims and `MAX_BYTES` first.
     """
     raw_kind, shape, n_leaves, start = _read_header(blob)
     if kind is not None and raw_kind != kind:
         raise OcnfError("the octree is of another kind", field="kind", found=raw_kind, expected=str(kind))
+    if resolution is not None and shape != (resolution,) * 3:
+        raise OcnfError("the octree is of another resolution", code="structure", field="shape", found=shape,
+                        expected=resolution)
     storage = storage_of(raw_kind)
     grid = (shape[0] // 8, shape[1] // 8, shape[2] // 8)
     n_trees = grid[0] * grid[1] * grid[2]

@@ -143,12 +143,9 @@ def _check_payload(sample: SampleEntry, member: Member, payload: bytes, report: 
                 add("json", "key, category, source or leaf counts are not those of the index")
             return
         _, encoding, resolution = parse_member(member.name)
-        octree = decode_raw(payload)
+        octree = decode_raw(payload, "target" if encoding is None else str(encoding), resolution)
     except OcnfError as error:
         add(error.code, str(error))
         return
-    kind = "target" if encoding is None else str(encoding)
-    if str(octree.kind) != kind or octree.shape != (resolution,) * 3:
-        add("octree", f"a {octree.kind} of {octree.shape}, where the name says {kind} of {resolution}")
     if len(octree.data) != sample.leaf_counts[member.name]:
         add("octree", f"{len(octree.data)} leaves, where the index says {sample.leaf_counts[member.name]}")

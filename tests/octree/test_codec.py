@@ -288,6 +288,19 @@ def test_frames_without_size_or_checksum_or_with_company(golden: tuple[np.ndarra
             decode_raw(company)
 
 
+def test_a_large_volume_of_few_bytes_takes_no_memory_under_a_small_name() -> None:
+    side = 256
+    blob = encode(GridOctree.trusted(np.zeros((side // 8,) * 3 + (2,), np.uint64),
+                                     np.ones(((side // 8) ** 3, 1), np.float32)), "target")
+    assert decode(blob).shape == (side,) * 3
+    tracemalloc.start()
+    with pytest.raises(OcnfError, match="another resolution"):
+        decode_raw(blob, "target", resolution=16)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < side**3 // 512 * 10  # less than its trees
+
+
 def test_bombs_do_not_go_off(golden: tuple[np.ndarray, GridOctree]) -> None:
     """Frames that would unpack to a quarter gigabyte, and frames that only claim a terabyte."""
     content = content_of(encode(example(TARGET, golden[1]), TARGET))
