@@ -75,7 +75,7 @@ def convolution_table(octree: GridOctree, folder: str, options: argparse.Namespa
         rows.append([f"{into} -> {out}", f"{dense:.2f}", f"{forward:.3f}", f"{dense / forward:.1f}",
                      f"{gflops:.0f}", f"{both:.3f}", f"{both / forward:.2f}",
                      measured_apart(f"{into}-{out}", folder, options)])
-    print_table("channels | dense s | octree s | ratio | GFLOP/s | with backward s | / forward | peak MB", rows)
+    print_table("channels | dense s | octree s | ratio | GFLOP/s | + backward s | / forward | peak MB", rows)
 
 
 def network_table(inputs: list[GridOctree], folder: str, options: argparse.Namespace) -> None:
