@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from rich.console import Console
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
@@ -57,8 +58,8 @@ class FusedMesh:
 
 def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = None, method: str = "ours",
              resolution: int | None = None, device: str = "auto", weight: float | None = None,
-             every: int = 1, keep_unseen: bool = False) -> FusedMesh:
-    """Fuse a scan and write the mesh.
+             every: int = 1, keep_unseen: bool = False, console: Console | None = None) -> FusedMesh:
+    """Fuse a scan, write the mesh, and say what was done.
 
     Args:
         run: a training run, or `pretrained`; read only where the method is `ours`.
@@ -72,6 +73,7 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
         weight: of TV-L1; None: `DEFAULT_WEIGHTS`.
         every: take every n-th frame only.
         keep_unseen: keep the surfaces that close off what no camera has seen (see `observed`).
+        console: to print to.
 
     Raises:
         OcnfError: the scan, the box or the run cannot be used, or no surface is left (`empty`).
@@ -84,6 +86,11 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
     fuser = _fuser(run, chosen, resolution, device, weight)
     mesh = fuse_scan(read_scan(scan, every=every), fuser, region=region, keep_unseen=keep_unseen)
     Store(out.parent).put_bytes(out.name, WRITERS[out.suffix.lower()](mesh.vertices, mesh.faces))
+    console = console or Console()
+    for note in mesh.notes:
+        console.print(f"Note: {note}", highlight=False, markup=False)
+    console.print(f"{out}: {len(mesh.faces):,} faces by {chosen.label} at {mesh.resolution}³ in "
+                  f"{mesh.seconds:.1f} s, {mesh.region}", highlight=False, markup=False, soft_wrap=True)
     return mesh
 
 

@@ -77,11 +77,15 @@ def test_what_was_not_seen_is_cut_off_unless_it_is_asked_for(scan: Path) -> None
 
 
 def test_observed_by_hand() -> None:
-    depth = np.zeros((1, 3, 3), np.float32)
-    depth[0, 1, 1], depth[0, 0, 0] = 2.0, np.inf
-    views = Views(depth, np.array([[1.0, 0, 1], [0, 1, 1], [0, 0, 1]]), np.eye(3)[None], np.zeros((1, 3)))
-    points = np.array([[0, 0, 2.05], [0, 0, 2.2], [0, 0, -2], [-2, -2, 2], [2, 2, 2], [99, 0, 2.0]])
-    assert observed(points, views, 0.1).tolist() == [True, False, False, False, False, False]
+    depth = np.zeros((1, 9, 9), np.float32)
+    depth[0, 2, 2], depth[0, 6, 6] = 2.0, np.inf
+    views = Views(depth, np.array([[1.0, 0, 4], [0, 1, 4], [0, 0, 1]]), np.eye(3)[None], np.zeros((1, 3)))
+    on = np.array([-4.0, -4.0, 2.0])  # projects to (2, 2)
+    cases = [(on, True), (on * 1.04, True), (on * 1.1, False), (on * 0.9, False), (on * -1, False),
+             (on - [-2, 2, 0], True), (on - [-4, 0, 0], False),  # a pixel, and two pixels off
+             (on * [-1, -1, 1], False), (on * [9, 1, 1], False), (on * [0, 0, 1], False)]
+    found = observed(np.array([point for point, _ in cases]), views, 0.1)
+    assert found.tolist() == [expected for _, expected in cases]
 
 
 def test_bad_input(scan: Path, tmp_path: Path) -> None:
