@@ -5,6 +5,7 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 
 from __future__ import annotations
 
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -100,7 +101,8 @@ def train(
     except KeyboardInterrupt:
         _err.print(f"[yellow]stopped; the same command goes on in {_escaped(str(out))}[/]", highlight=False)
         raise typer.Exit(130) from None
-    _out.print(f"trained: {_escaped(str(out))}", highlight=False)
+    if os.environ.get("RANK", "0") == "0":
+        _out.print(f"trained: {_escaped(str(out))}", highlight=False)
 
 
 @app.command()

@@ -83,7 +83,7 @@ def test_what_is_written_is_what_is_read(tmp_path) -> None:
     (lambda w, h: h["architecture"].update(channels=[2, 3]), "architecture.channels"),
     (lambda w, h: h["data"].pop("extent"), "data.extent: the field is missing"),
     (lambda w, h: w.pop("head.bias"), "head.bias: the checkpoint does not fit the network; found nothing"),
-    (lambda w, h: w.update(extra=torch.zeros(1)), "extra: the checkpoint does not fit the network; found there"),
+    (lambda w, h: w.update(extra=torch.zeros(1)), "extra: the checkpoint does not fit.*found there"),
     (lambda w, h: w.update({"head.bias": torch.zeros(2)}), r"head.bias: .*float32 \(2,\).*float32 \(1,\)"),
     (lambda w, h: w.update({"head.bias": w["head.bias"].half()}), "head.bias: .*found torch.float16"),
     (lambda w, h: w["head.bias"].fill_(float("nan")), "head.bias: weights that are not finite"),
@@ -126,7 +126,7 @@ def test_every_truncation_is_found(folder) -> None:
     whole = path.read_bytes()
     for size in (*range(0, len(whole), 997), len(whole) - 1):
         path.write_bytes(whole[:size])
-        with pytest.raises(OcnfError, match="level-1.safetensors"):
+        with pytest.raises(OcnfError, match=r"level-1\.safetensors"):
             read_tensors(path)
 
 
@@ -148,7 +148,7 @@ def test_a_planted_pickle_is_not_run(folder, tmp_path) -> None:
 def test_data_that_means_something_else_is_refused(folder) -> None:
     run = open_run(folder)
     run.check_fits("scan", encoding="tsdf", truncation_voxels=2.0001, resolutions=[32, 64])
-    with pytest.raises(OcnfError, match="scan: encoding: the network was trained on something else; found hist"):
+    with pytest.raises(OcnfError, match="scan: encoding: the network was trained on something else"):
         run.check_fits("scan", encoding="histogram")
     with pytest.raises(OcnfError, match=r"truncation_voxels: .*found 3.0, expected 2.0"):
         run.check_fits("scan", truncation_voxels=3.0)
@@ -158,5 +158,5 @@ def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, 
     monkeypatch.setattr("ocnf_model.checkpoint._PRETRAINED_FOLDER", folder)
     assert len(load_run("pretrained").levels) == 2
     monkeypatch.setattr("ocnf_model.checkpoint._PRETRAINED_FOLDER", tmp_path)
-    with pytest.raises(OcnfError, match="without pretrained weights.*ocnf-model train"):
+    with pytest.raises(OcnfError, match=r"without pretrained weights.*ocnf-model train"):
         load_run("pretrained")
