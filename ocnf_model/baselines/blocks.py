@@ -64,6 +64,7 @@ class State:
     Attributes:
         slots: (GD, GH, GW) int32: row of each block, or FREE or UNSEEN where it is not stored.
         u, over: (blocks, 512) float32, u and its extrapolation. p: (blocks, 3, 512) float32, z, y, x.
+        anchor_u, anchor_p: where the anchored iteration started; u and p themselves before there is one.
         lower, upper: (blocks, 3) int32: the neighbours along z, y, x; as in `slots`, or OUTSIDE.
         h_row: (blocks,) int32: where the block's data term is.
     """
@@ -84,6 +85,7 @@ class State:
         self.u = (centres @ histogram.h)[self.h_row]
         self.p = np.zeros((len(coords), 3, 512), np.float32)
         self.over = self.u.copy()
+        self.anchor_u, self.anchor_p = self.u, self.p
 
     @classmethod
     def start(cls, histogram: Histogram) -> State:
@@ -101,8 +103,20 @@ class State:
                 stored[tuple(to.T)] = True
         state = State(self.histogram, stored)
         kept = state.slots[self.slots >= 0]
+        if self.anchored:
+            state.drop_anchor()  # new blocks are still what they were at the anchor
+            state.anchor_u[kept], state.anchor_p[kept] = self.anchor_u, self.anchor_p
         state.u[kept], state.over[kept], state.p[kept] = self.u, self.over, self.p
         return state
+
+    @property
+    def anchored(self) -> bool:
+        """Whether there is an anchor."""
+        return self.anchor_u is not self.u
+
+    def drop_anchor(self) -> None:
+        """Take u and p as they are for the anchor."""
+        self.anchor_u, self.anchor_p = self.u.copy(), self.p.copy()
 
 
 def _pick(grid: I32, at: npt.NDArray[np.int64]) -> I32:

@@ -58,20 +58,21 @@ def _forward(u: F32, upper: I32, b: int, axis: int, shifted: F32) -> None:
 
 @njit(cache=True, nogil=True, parallel=True)
 def primal_pass(u: F32, over: F32, p: F32, lower: I32, h: F32, h_row: I32, t: np.float32,
-                weight: np.float32, relax: np.float32) -> None:
-    """u~ = prox(u + t div p); over = 2 u~ - u; u += relax (u~ - u)."""
+                weight: np.float32, relax: np.float32, anchor: F32, share: np.float32) -> None:
+    """u~ = prox(u + t div p); over = 2 u~ - u; u += relax (u~ - u); then u := anchor + share (u - anchor)."""
     n = h.shape[1]
     pull = np.float32(2) * t * weight
     for b in prange(len(u)):
+        start = anchor[b]
         w, shifted = np.empty(512, np.float32), np.empty(512, np.float32)
         _divergence(p, lower, b, w, shifted)
         own = u[b]
         for i in range(512):
             w[i] = own[i] + t * w[i] + t * weight
         for j in range(n):
-            share, centre = h[h_row[b], j], np.float32(2 * j / (n - 1) - 1)
+            votes, centre = h[h_row[b], j], np.float32(2 * j / (n - 1) - 1)
             for i in range(512):
-                low = w[i] - pull * share[i]
+                low = w[i] - pull * votes[i]
                 low = low if low > centre else centre
                 w[i] = low if low < w[i] else w[i]
         twice = over[b]
@@ -80,11 +81,15 @@ def primal_pass(u: F32, over: F32, p: F32, lower: I32, h: F32, h_row: I32, t: np
             best = best if best > np.float32(-1) else np.float32(-1)
             twice[i] = np.float32(2) * best - own[i]
             own[i] += relax * (best - own[i])
+        if share < 1:
+            for i in range(512):
+                own[i] = start[i] + share * (own[i] - start[i])
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def dual_pass(over: F32, p: F32, upper: I32, sigma: np.float32, relax: np.float32) -> None:
-    """p~ = project(p + sigma grad over) onto |p| <= 1; p += relax (p~ - p)."""
+def dual_pass(over: F32, p: F32, upper: I32, sigma: np.float32, relax: np.float32, anchor: F32,
+              share: np.float32) -> None:
+    """p~ = project(p + sigma grad over) onto |p| <= 1; p += relax (p~ - p); then the same as for u."""
     for b in prange(len(p)):
         shifted, step = np.empty(512, np.float32), np.empty((3, 512), np.float32)
         norm, own = np.zeros(512, np.float32), over[b]
@@ -99,9 +104,12 @@ def dual_pass(over: F32, p: F32, upper: I32, sigma: np.float32, relax: np.float3
             length = np.sqrt(norm[i])
             norm[i] = np.float32(1) / (length if length > np.float32(1) else np.float32(1))
         for axis in range(3):
-            old, new = p[b, axis], step[axis]
+            old, new, start = p[b, axis], step[axis], anchor[b, axis]
             for i in range(512):
                 old[i] += relax * (new[i] * norm[i] - old[i])
+            if share < 1:
+                for i in range(512):
+                    old[i] = start[i] + share * (old[i] - start[i])
 
 
 @njit(cache=True, nogil=True, parallel=True)
