@@ -119,15 +119,20 @@ def evaluate(
     data: Data,
     split: Annotated[str, typer.Option(help="Of the data set.")] = "test",
     out: Annotated[Path | None, typer.Option(
-        metavar="DIR", help="Where tables and figure go; RUN/evaluation if not given.")] = None,
+        metavar="DIR", help="Where tables and figures go; RUN/evaluation/SPLIT if not given.")] = None,
     device: Device = "auto",
     method: Annotated[list[Method] | None, typer.Option(help="May be repeated. [all]")] = None,
+    weights: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="TV-L1's, chosen by cross-validation; RUN/tvl1.json if there is one.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="The first so many models only.")] = None,
+    figures: Annotated[int, typer.Option(min=0, help="Models to draw, each of another category.")] = 3,
 ) -> None:
     """Compare the network with plain and TV-L1 fusion: errors, overlap and time, as tables and a figure."""
     from ocnf_model.evaluate import run_evaluate
 
     methods = [str(name) for name in method] if method else None
-    run_evaluate(run, data, split=split, out=out, device=device, methods=methods)
+    run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
+                 limit=limit, n_figures=figures, console=_out)
 
 
 @app.command()
@@ -143,11 +148,16 @@ def fuse(
     resolution: Annotated[int | None, typer.Option(
         help="Voxels along the region; the finest that RUN has if not given.")] = None,
     device: Device = "auto",
+    weight: Annotated[float | None, typer.Option(help="Of TV-L1.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Take every n-th frame only.")] = 1,
+    keep_unseen: Annotated[bool, typer.Option(
+        "--keep-unseen", help="Keep surfaces that close off what no camera has seen.")] = False,
 ) -> None:
     """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
     from ocnf_model.fuse import run_fuse
 
-    run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device)
+    run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device,
+             weight=weight, every=every, keep_unseen=keep_unseen, console=_out)
 
 
 def main() -> None:
