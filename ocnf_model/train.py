@@ -26,6 +26,7 @@ from ocnf_data.generation.exclusive import exclusive
 from ocnf_data.shards import load_dataset
 from ocnf_data.shards.record import canonical_json
 from ocnf_data.storage import Store
+from ocnf_data.validation import validate
 from ocnf_model.checkpoint import Architecture, DataFacts, load_level
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.batches import open_split
@@ -150,7 +151,7 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
         raise OcnfError("not the settings of a run of this version", code="schema", where=where)
-    return read_settings(fields["settings"], where), DataFacts.model_validate(fields["data"])
+    return read_settings(fields.get("settings"), where), validate(DataFacts, fields.get("data"), where)
 
 
 @contextmanager

@@ -150,8 +150,8 @@ def _difference(ours: Any, theirs: Any, at: str) -> tuple[str, Any, Any] | None:
     return next(difference for difference in found if difference)
 
 
-def read_settings(fields: Mapping[str, Any], where: object) -> TrainSettings:
-    """Settings from JSON or YAML values.
+def read_settings(fields: object, where: object) -> TrainSettings:
+    """Settings from JSON or YAML values, a mapping.
 
     Raises:
         OcnfError: a field that is unknown or impossible, by name.

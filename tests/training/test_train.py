@@ -116,6 +116,11 @@ def test_another_run_in_the_folder_is_refused(finished, tiny, small, tmp_path) -
         with pytest.raises(OcnfError, match=f"{field}: the run was begun with other settings"):
             train(tiny, finished, small(**{"stages": [stage(epochs=2)], **changes}), device="cpu")
     assert snapshot(finished) == before
+    for text, message in (("{", "not JSON"), ("{}", "not the settings"), ('{"schema": 1}', "not a mapping")):
+        (tmp_path / "settings.json").write_text(text)
+        with pytest.raises(OcnfError, match=f"settings.json: {message}"):
+            train(tiny, tmp_path, small(), device="cpu")
+    (tmp_path / "settings.json").unlink()
     (tmp_path / "letter.txt").write_text("Dear")
     with pytest.raises(OcnfError, match=r"not empty, and not a run; found letter.txt"):
         train(tiny, tmp_path, small(), device="cpu")
