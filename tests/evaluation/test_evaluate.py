@@ -7,11 +7,11 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from ocnf_data import generate
 from ocnf_data.errors import OcnfError
@@ -45,9 +45,17 @@ def dense_figures(predicted: np.ndarray, true: np.ndarray, tau: float) -> tuple[
 
 def test_every_figure_equals_the_dense_one(evaluation: Evaluation, network: OctNetFusion,
                                            members: Callable[[str, str], GridOctree]) -> None:
+    @cache
+    def histograms_of(key: str, variant: str) -> list[GridOctree]:
+        return [members(key, f"{variant}-histogram-{side}") for side in SIDES]
+
+    @cache
+    def outputs_of(key: str, variant: str) -> list[OctreeBatch]:
+        return network([OctreeBatch.from_grids([one]) for one in histograms_of(key, variant)])
+
     met = set()
     for row in evaluation.rows:
-        histograms = [members(row.key, f"{row.variant}-histogram-{side}") for side in SIDES]
+        histograms = histograms_of(row.key, row.variant)
         level = SIDES.index(row.resolution)
         if row.method == "VolFus":
             predicted = members(row.key, f"{row.variant}-tsdf-{row.resolution}").to_dense()[0]
@@ -57,9 +65,7 @@ def test_every_figure_equals_the_dense_one(evaluation: Evaluation, network: OctN
         elif row.method == "TV-L1":
             predicted = tvl1(histograms[level], default_weight(row.resolution)).to_dense()[0]
         else:
-            with torch.no_grad():
-                outputs = network([OctreeBatch.from_grids([one]) for one in histograms])
-            predicted = outputs[level].to_dense()[0, 0].numpy()
+            predicted = outputs_of(row.key, row.variant)[level].to_dense()[0, 0].numpy()
         truth = members(row.key, f"target-{row.resolution}").to_dense()[0]
         tau = 3 * 32 / 15 / row.resolution
         found = row.mad_mm, row.iou, row.precision, row.recall
