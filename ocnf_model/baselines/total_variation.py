@@ -9,8 +9,8 @@ with forward differences that are 0 at the far border, by the primal-dual algori
 far E(u) is from its minimum, and the iteration stops when that bound is small enough.
 
 Over-relaxed steps are fastest on nearly everything, but circle around the solution where a weak data term
-lets a large body nearly vanish. When the gap says so, reflected steps take over that are pulled back to an anchor,
-less each time (Halpern's iteration), with a new anchor whenever the gap has become much smaller.
+lets a large body nearly vanish. When the gap says so, reflected steps take over that are pulled back to an
+anchor, less each time (Halpern's iteration), with a new anchor whenever the gap has become much smaller.
 """
 
 from __future__ import annotations
