@@ -11,7 +11,8 @@ export NUMBA_CACHE_DIR := $(CURDIR)/.numba/$(shell cat $(SOURCES) | cksum | cut 
 
 .PHONY: help setup demo test lint bench clean
 help:
-	@echo "make demo [MESHES=DIR] [OUT=demo-out]   generate a small data set, verify it, draw pictures"
+	@echo "make demo [MESHES=DIR] [OUT=demo-out]   generate a small data set, verify it, draw pictures (UP=y:"
+	@echo "                                        the pictures' vertical axis, where it is not z)"
 	@echo "make test                               run the tests (OCNF_DATA=DIR adds those on real data)"
 	@echo "make lint                               ruff and mypy"
 	@echo "make bench                              print the speed and size tables"
@@ -23,7 +24,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt tools/setup_venv.sh
 	@touch $@
 
 demo: setup
-	@$(BIN)/python tools/demo.py --out "$(OUT)" --jobs $(JOBS) $(if $(MESHES),--meshes "$(MESHES)")
+	@$(BIN)/python tools/demo.py --out "$(OUT)" --jobs $(JOBS) $(if $(MESHES),--meshes "$(MESHES)") $(if $(UP),--up $(UP))
 
 test: setup stale
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
