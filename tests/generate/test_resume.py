@@ -65,7 +65,7 @@ def test_killed_at_random_moments_and_resumed(job, tmp_path, contents, fake, job
     # shards, and then the run is left to finish.
     for n_shards in (0, 1, 2):
         run = start(manifest, out, root, jobs)
-        while len(list(out.glob("train/*.json"))) < n_shards:
+        while len(list(out.glob("train/shard-*.json"))) < n_shards:
             time.sleep(0.01)
         time.sleep(chance.uniform(0, 0.15) + 0.5 * (n_shards == 0))  # of which starting takes about half
         os.killpg(run.pid, signal.SIGKILL)
@@ -90,7 +90,7 @@ def test_ctrl_c_leaves_a_resumable_state_and_says_so(job, tmp_path, contents, fa
     manifest, root = job
     out = tmp_path / "stopped"
     run = start(manifest, out, root, jobs)
-    while not list(out.glob("train/*.json")):
+    while not list(out.glob("train/shard-*.json")):
         time.sleep(0.02)
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to everyone in the foreground
     assert "the same command resumes" in finish(run)
@@ -106,7 +106,7 @@ def test_workers_end_with_their_driver(job, tmp_path, fake) -> None:
     """Only the driver is killed: a worker that went on could write into the folder of a later run."""
     manifest, root = job
     run = start(manifest, tmp_path / "killed", root, 2)
-    while not list((tmp_path / "killed").glob("train/*.json")):
+    while not list((tmp_path / "killed").glob("train/shard-*.json")):
         time.sleep(0.02)
     assert len(running(run.pid)) > 2
     run.kill()
@@ -132,7 +132,7 @@ def test_trouble_in_mid_shard_leaves_no_partial_shard(
         generate(define(), out, root, jobs, backend, progress=False)
     assert caught.value.code == "disk_full"
     assert not [path for path in out.rglob("*") if path.name.startswith((".tmp", ".lock", ".progress"))]
-    assert len(list(out.glob("train/*.tar"))) == len(list(out.glob("train/*.json"))) < 6
+    assert len(list(out.glob("train/*.tar"))) == len(list(out.glob("train/shard-*.json"))) < 6
     assert not (out / "dataset.json").exists()
     (root / ".fixed").touch()
     generate(define(), out, root, progress=False)
