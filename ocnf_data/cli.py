@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.terminal import print_error, run_app
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -188,7 +187,7 @@ def watertight(
         report = watertight_path(source, out, resolution, jobs, level, suffix, progress)
     for path, error in report.failures:
         sentence = str(error) if error.where == str(path) else f"{path}: {error}"
-        _err.print(f"[red]error:[/] {_escaped(sentence)}", highlight=False, soft_wrap=True)
+        print_error(sentence, _err)
     _out.print(f"{len(report.written)} written, {len(report.failures)} failed", highlight=False)
     raise typer.Exit(1 if report.failures else 0)
 
@@ -211,20 +210,8 @@ class _Bar:
 
 
 def main() -> None:
-    """Run the command line; a user's error is one red sentence and exit status 1."""
-    try:
-        app()
-    except OcnfError as error:
-        if _debug:
-            raise
-        _err.print(f"[red]error:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
-        sys.exit(1)
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
+    """Run the command line."""
+    run_app(app, _err, lambda: _debug)
 
 
 if __name__ == "__main__":

@@ -6,15 +6,15 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.terminal import run_app
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
@@ -99,10 +99,10 @@ def train(
     try:
         run(data, out, chosen, device=device, console=_err)
     except KeyboardInterrupt:
-        _err.print(f"[yellow]stopped; the same command goes on in {_escaped(str(out))}[/]", highlight=False)
+        _err.print(f"[yellow]stopped; the same command goes on in {escape(str(out))}[/]", highlight=False)
         raise typer.Exit(130) from None
     if os.environ.get("RANK", "0") == "0":
-        _out.print(f"trained: {_escaped(str(out))}", highlight=False)
+        _out.print(f"trained: {escape(str(out))}", highlight=False)
 
 
 @app.command()
@@ -161,20 +161,8 @@ def fuse(
 
 
 def main() -> None:
-    """Run the command line; a user's error is one red sentence and exit status 1."""
-    try:
-        app()
-    except OcnfError as error:
-        if _debug:
-            raise
-        _err.print(f"[red]error:[/] {_escaped(str(error))}", highlight=False, soft_wrap=True)
-        sys.exit(1)
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
+    """Run the command line."""
+    run_app(app, _err, lambda: _debug)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,28 @@
+"""What the command lines share: a user's error is one red sentence and exit status 1."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ocnf_data.errors import OcnfError
+
+
+def print_error(sentence: str, console: Console) -> None:
+    """Print a sentence as an error, unbroken and letter by letter."""
+    console.print(f"[red]error:[/] {escape(sentence)}", highlight=False, soft_wrap=True)
+
+
+def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> None:
+    """Run a command line; where `debug()` holds afterwards, an error is raised with its traceback."""
+    try:
+        app()
+    except OcnfError as error:
+        if debug():
+            raise
+        print_error(str(error), console)
+        sys.exit(1)
