@@ -63,6 +63,9 @@ def train(
         metavar="N,...", help="Batches a step, for each level. [1,4,4]")] = None,
     learning_rate: Annotated[str | None, typer.Option(
         metavar="X,...", help="Of Adam, for each level. [1e-4]")] = None,
+    decay: Annotated[str | None, typer.Option(
+        metavar="NAME,...",
+        help="Of the learning rate, for each level: none or cosine. [none]")] = None,
     channels: Annotated[str | None, typer.Option(
         metavar="A,B,C", help="Of the three resolutions within a level. [16,32,64]")] = None,
     join: Annotated[str | None, typer.Option(help="concat or add. [concat]")] = None,
@@ -94,7 +97,7 @@ def train(
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
          "seed": seed, "workers": workers},
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
-         "learning_rate": learning_rate},
+         "learning_rate": learning_rate, "decay": decay},
         channels)
     try:
         run(data, out, chosen, device=device, console=_err)

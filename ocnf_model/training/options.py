@@ -29,7 +29,8 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
     fields |= {name: value for name, value in options.items() if value is not None}
     if channels is not None:
         fields["channels"] = _numbers("channels", channels)
-    lists = {name: _numbers(name, text) for name, text in stage_options.items() if text is not None}
+    lists = {name: _words(text) if name == "decay" else _numbers(name, text)
+             for name, text in stage_options.items() if text is not None}
     settings = read_settings(fields, where)
     if not lists:
         return settings
@@ -40,7 +41,11 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
     return read_settings({**settings.to_dict(), "stages": stages}, where)
 
 
-def _numbers(name: str, text: str) -> list[int | float]:
+def _words(text: str) -> list[Any]:
+    return [part.strip() for part in text.split(",")]
+
+
+def _numbers(name: str, text: str) -> list[Any]:
     try:
         return [int(part) if part.strip().isdigit() else float(part) for part in text.split(",")]
     except ValueError:

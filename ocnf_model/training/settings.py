@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from enum import StrEnum
@@ -33,6 +34,15 @@ class Precision(StrEnum):
     """Autocast: half the memory of the activations."""
 
 
+class Decay(StrEnum):
+    """How the learning rate goes on from its first value."""
+
+    NONE = "none"
+    """It stays (the paper)."""
+    COSINE = "cosine"
+    """Half a cosine down to 0 at the end of the level, which short runs profit from."""
+
+
 class Stage(Strict):
     """How one level is trained; the defaults are those of the later levels."""
 
@@ -42,9 +52,22 @@ class Stage(Strict):
     accumulate: Positive = 4
     """Batches whose gradients are averaged for one step; fewer at the end of an epoch."""
     learning_rate: Annotated[Real, Field(gt=0)] = 1e-4
-    """Of Adam, constant."""
+    """Of Adam, at first."""
+    decay: Decay = Decay.NONE
     weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
     """Added to the gradient, times the weights."""
+
+
+    def rate(self, done: int, steps: int) -> float:
+        """The learning rate of a step.
+
+        Args:
+            done: steps before it.
+            steps: of the whole level.
+        """
+        if self.decay is Decay.NONE:
+            return self.learning_rate
+        return self.learning_rate * (1 + math.cos(math.pi * done / steps)) / 2
 
 
 class TrainSettings(Strict):

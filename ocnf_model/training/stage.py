@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -74,6 +75,7 @@ class Trainer:
         self._parameters = list(self._level.parameters())
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
+        self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
         restore(tensors, self._level, self._optimiser)
         if place.loader is not None:
             job.training.load_state_dict(place.loader)
@@ -137,6 +139,8 @@ class Trainer:
         norm = torch.nn.utils.clip_grad_norm_(self._parameters, float("inf"))
         if not _is_finite(norm.item()):
             raise self._not_finite("the gradient", keys)
+        for group in self._optimiser.param_groups:
+            group["lr"] = self._stage.rate(self._place.steps, self._n_steps)
         self._optimiser.step()
         self._optimiser.zero_grad()
         self._place.steps += 1

@@ -8,7 +8,7 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.training.options import merge_options
-from ocnf_model.training.settings import TrainSettings, difference, read_settings
+from ocnf_model.training.settings import Stage, TrainSettings, difference, read_settings
 
 
 def test_the_defaults_are_the_papers_schedule() -> None:
@@ -30,10 +30,18 @@ def test_options_go_before_the_file(tmp_path: Path) -> None:
     file = tmp_path / "s.yaml"
     file.write_text("levels: 2\nencoding: tsdf\nstages: [{epochs: 7, batch_size: 3}, {epochs: 5}]\n")
     settings = merge_options(file, {"encoding": "tdf_occupancy", "seed": None},
-                             {"epochs": "9", "learning_rate": "1e-3,2e-3,3e-3"}, "2,3,4")
+                             {"epochs": "9", "learning_rate": "1e-3,2e-3,3e-3", "decay": "none,cosine"},
+                             "2,3,4")
     assert (settings.levels, settings.encoding, settings.channels) == (2, "tdf_occupancy", (2, 3, 4))
     assert [(s.epochs, s.batch_size, s.learning_rate) for s in settings.stages] \
         == [(9, 3, 1e-3), (9, 1, 2e-3), (9, 1, 3e-3)]
+    assert [s.decay for s in settings.stages] == ["none", "cosine", "cosine"]
+
+
+def test_cosine_decay_ends_at_zero_and_halves_on_the_way() -> None:
+    stage = Stage(learning_rate=0.2, decay="cosine")
+    assert [stage.rate(done, 4) for done in (0, 2, 4)] == pytest.approx([0.2, 0.1, 0.0])
+    assert Stage(learning_rate=0.2).rate(3, 4) == 0.2
 
 
 @pytest.mark.parametrize(("text", "message"), [
