@@ -11,8 +11,9 @@ export NUMBA_CACHE_DIR := $(CURDIR)/.numba/$(shell cat $(SOURCES) | cksum | cut 
 
 .PHONY: help setup demo test lint bench clean
 help:
-	@echo "make demo [MESHES=DIR] [OUT=demo-out]   generate a small data set, verify it, draw pictures (UP=y:"
-	@echo "                                        the pictures' vertical axis, where it is not z)"
+	@echo "make demo [MESHES=DIR] [OUT=demo-out]   generate a small data set, verify it, reconstruct it, draw"
+	@echo "                                        pictures (UP=y: their vertical axis, where it is not z)"
+	@echo "make demo TRAIN=1 [SEED=0]              train a small network from scratch, compare it on unseen shapes"
 	@echo "make test                               run the tests (OCNF_DATA=DIR adds those on real data)"
 	@echo "make lint                               ruff and mypy"
 	@echo "make bench                              print the speed and size tables"
@@ -24,7 +25,11 @@ $(VENV)/.ready: pyproject.toml constraints.txt tools/setup_venv.sh
 	@touch $@
 
 demo: setup
+ifdef TRAIN
+	@$(BIN)/python tools/demo_train.py --out "$(OUT)" --jobs $(JOBS) $(if $(SEED),--seed $(SEED))
+else
 	@$(BIN)/python tools/demo.py --out "$(OUT)" --jobs $(JOBS) $(if $(MESHES),--meshes "$(MESHES)") $(if $(UP),--up $(UP))
+endif
 
 test: setup stale
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
@@ -35,7 +40,7 @@ lint: setup
 
 # On procedural shapes, or on real meshes laid out as ModelNet with MESHES=DIR.
 bench: setup
-	@for of in octree codec fusion loader; do echo; $(BIN)/python tools/bench_$$of.py || exit 1; done
+	@for of in octree codec fusion loader conv tvl1; do echo; $(BIN)/python tools/bench_$$of.py || exit 1; done
 	@$(BIN)/python tools/bench_render.py $(if $(MESHES),"$(MESHES)")
 	@$(BIN)/python tools/bench_generate.py $(if $(MESHES),--meshes "$(MESHES)")
 

@@ -28,7 +28,7 @@ from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
 
 CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"
-_PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
+PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
 
 Positive = Annotated[Int, Field(ge=1)]
 
@@ -229,10 +229,10 @@ def run_folder(path: str | Path) -> Path:
             raise OcnfError("no such run", code="missing", where=folder,
                             expected=f"a folder made by `ocnf-model train`, or {PRETRAINED}")
         return folder
-    if not checkpoint_path(_PRETRAINED_FOLDER, 1).is_file():
+    if not checkpoint_path(PRETRAINED_FOLDER, 1).is_file():
         raise OcnfError("this version comes without pretrained weights", code="missing", where=PRETRAINED,
                         fix="train some: ocnf-model train DATA --out RUN")
-    return _PRETRAINED_FOLDER
+    return PRETRAINED_FOLDER
 
 
 def trained_levels(folder: Path) -> int:

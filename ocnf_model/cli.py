@@ -129,13 +129,37 @@ def evaluate(
         metavar="FILE", help="TV-L1's, chosen by cross-validation; RUN/tvl1.json if there is one.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="The first so many models only.")] = None,
     figures: Annotated[int, typer.Option(min=0, help="Models to draw, each of another category.")] = 3,
+    up: Annotated[str, typer.Option(help="The models' axis that points up in the figures: y or z.")] = "z",
 ) -> None:
     """Compare the network with plain and TV-L1 fusion: errors, overlap and time, as tables and a figure."""
     from ocnf_model.evaluate import run_evaluate
 
     methods = [str(name) for name in method] if method else None
     run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
-                 limit=limit, n_figures=figures, console=_out)
+                 limit=limit, n_figures=figures, up=up, console=_out)
+
+
+@app.command()
+def choose_weight(
+    data: Data,
+    out: Annotated[Path, typer.Option(
+        metavar="FILE", help="Where the weights go; `evaluate` finds RUN/tvl1.json by itself.")],
+    split: Annotated[str, typer.Option(help="Of the data set; never the one reported on.")] = "val",
+    resolution: Annotated[list[int] | None, typer.Option(help="May be repeated. [all]")] = None,
+    models: Annotated[int | None, typer.Option(
+        min=1, help="How many. [20 up to 64³, 10 at 128³, 5 above]")] = None,
+    weights: Annotated[str | None, typer.Option(
+        metavar="X,...", help="At least 6, ascending; more are added where the best is at an end. "
+                              "[0.4,0.64,1,1.6,2.5,4,6.4]")] = None,
+) -> None:
+    """Choose TV-L1's weight by cross-validation: the least MAD, for each resolution and input variant."""
+    from ocnf_model.evaluation.weights import DEFAULT_WEIGHTS, run_choose_weight
+    from ocnf_model.training.options import parse_numbers
+
+    grid = DEFAULT_WEIGHTS if weights is None else parse_numbers("weights", weights)
+    run_choose_weight(data, out=out, resolutions=resolution, n_models=models, split=split, weights=grid,
+                      console=_out)
+    _out.print(f"The weights are in {escape(str(out))}", highlight=False, soft_wrap=True)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ocnf_data.octree import GridOctree
 from ocnf_data.storage import Store
-from ocnf_model.checkpoint import open_run
+from ocnf_model.checkpoint import PRETRAINED, PRETRAINED_FOLDER, open_run
 from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
 from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
@@ -66,8 +66,8 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         run: a training run, or `pretrained`; read only where `ours` is among the methods.
         data: a data set, folder or URL.
         split: of it.
-        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder, else nothing is
-            written.
+        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder of yours, else
+            nothing is written.
         device: of the network: auto, cpu, cuda, ...
         methods: `ours`, `volfus`, `tvl1`; None: all that the data set has the inputs for.
         weights: TV-L1's, a file that `run_choose_weight` wrote; None: RUN/tvl1.json if there is one, else
@@ -86,11 +86,10 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         trained = open_run(run)
         trained.check_fits(data, truncation_voxels=Facts.read(data).truncation_voxels)
         network, sides = trained.network.to(pick_device(device)), trained.resolutions
-    folder = Path(run) if Path(run).is_dir() else None
-    if weights is None and folder is not None and (folder / WEIGHTS_FILE).exists():
-        weights = folder / WEIGHTS_FILE
-    if out is None and folder is not None:
-        out = folder / "evaluation" / split
+    if weights is None and (kept := _folder(run) / WEIGHTS_FILE).exists():
+        weights = kept
+    if out is None and run != PRETRAINED and _folder(run).is_dir():
+        out = _folder(run) / "evaluation" / split
     found = evaluate(network, data, sides=sides, split=split, methods=methods, weights=weights, limit=limit,
                      n_figures=n_figures if out is not None else 0, up=up, console=console,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
@@ -154,6 +153,11 @@ def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | 
                         surfaces, f"{model.key}, {plan.variant}", up)
                 progress.advance(task)
     return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}")
+
+
+def _folder(run: str) -> Path:
+    """Where a run is, or would be: the baselines need none."""
+    return PRETRAINED_FOLDER if run == PRETRAINED else Path(run).expanduser()
 
 
 def _surface(truth: GridOctree, facts: Facts) -> Surface:

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
@@ -35,11 +39,20 @@ class Choice:
     mean_mm: list[float]
     models: list[str]
 
+    def table(self) -> Table:
+        """The mean MAD of every weight tried, the best one marked."""
+        table = Table()
+        table.add_column("weight", justify="right")
+        table.add_column("MAD mm", justify="right")
+        for weight, mad in zip(self.weights, self.mean_mm, strict=True):
+            table.add_row(f"{weight:.3g}", f"{mad:.4f}", style="bold" if weight == self.weight else None)
+        return table
+
 
 def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None = None,
                       n_models: int | None = None, split: str = "val",
                       weights: Sequence[float] = DEFAULT_WEIGHTS,
-                      progress: Callable[[str], None] | None = None) -> list[Choice]:
+                      console: Console | None = None) -> list[Choice]:
     """Choose TV-L1's weight for each variant with histograms, and write the file that evaluation reads.
 
     Args:
@@ -49,7 +62,10 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
         n_models: how many of the split; None: 20 up to 64^3, 10 at 128^3, 5 above. Fewer if there are fewer.
         split: never the one that is reported on.
         weights: at least 6, ascending; the grid grows where the best lies at its end.
-        progress: called with a line after each resolution of each variant.
+        console: for the progress, and a table after each resolution of each variant; None shows none.
+
+    Raises:
+        OcnfError: the data set lacks histograms, a TSDF, the resolution or the split; no grid of weights.
     """
     facts = Facts.read(data)
     if facts.is_occupancy:
@@ -59,21 +75,38 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
     if not variants:
         raise OcnfError("the data set has no histograms", code="missing", where=data, field="inputs")
     choices = []
-    for variant in variants:
-        for side in resolutions or facts.resolutions:
-            wanted = n_models or next((n for most, n in _LARGEST_NUMBER_OF_MODELS.items() if side <= most), 5)
-            models = list(Models(facts, split, variant, [Encoding.HISTOGRAM], [side], wanted))
-            choice = choose_weight([(model.inputs[Encoding.HISTOGRAM][side], model.truths[side],
-                                     facts.taus.get(side, math.nan)) for model in models], weights)
-            choices.append(Choice(variant, side, choice.weight, choice.weights.tolist(),
-                                  choice.mean_mm.tolist(), [model.key for model in models]))
-            if progress is not None:
-                progress(f"{variant} at {side}^3, {len(models)} models: weight {choice.weight:.3g}, "
-                         f"MAD {choice.mean_mm.min():.3f} mm")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
+        for variant in variants:
+            for side in resolutions or facts.resolutions:
+                choice = _choose(facts, split, variant, side, n_models, weights, progress)
+                choices.append(choice)
+                progress.console.print(f"TV-L1, {variant} at {side}³, {len(choice.models)} models:",
+                                       choice.table(), sep="\n")
     text = json.dumps({"schema": _SCHEMA, "split": split, "choices": [asdict(one) for one in choices]},
                       indent=1)
     Store(out.parent).put_bytes(out.name, text.encode())
     return choices
+
+
+def _choose(facts: Facts, split: str, variant: str, side: int, n_models: int | None,
+            weights: Sequence[float], progress: Progress) -> Choice:
+    wanted = n_models or next((n for most, n in _LARGEST_NUMBER_OF_MODELS.items() if side <= most), 5)
+    models = list(Models(facts, split, variant, [Encoding.HISTOGRAM], [side], wanted))
+    task = progress.add_task(f"{variant} at {side}³", total=len(models) * len(weights))
+
+    def solved(weight: float, model: int, _: float) -> None:
+        bar = progress.tasks[progress.task_ids.index(task)]
+        total = max(int(bar.total or 0), int(bar.completed) + len(models) - model)  # the grid may grow
+        progress.update(task, advance=1, total=total,
+                        description=f"{variant} at {side}³, weight {weight:.3g}")
+
+    choice = choose_weight([(model.inputs[Encoding.HISTOGRAM][side], model.truths[side],
+                             facts.taus.get(side, math.nan)) for model in models], weights,
+                           progress=solved)
+    progress.remove_task(task)
+    return Choice(variant, side, choice.weight, choice.weights.tolist(), choice.mean_mm.tolist(),
+                  [model.key for model in models])
 
 
 def read_weights(path: Path) -> Mapping[tuple[str, int], float]:

@@ -28,8 +28,8 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
     fields: dict[str, Any] = {} if file is None else load_settings(file)
     fields |= {name: value for name, value in options.items() if value is not None}
     if channels is not None:
-        fields["channels"] = _numbers("channels", channels)
-    lists = {name: _words(text) if name == "decay" else _numbers(name, text)
+        fields["channels"] = parse_numbers("channels", channels)
+    lists = {name: _words(text) if name == "decay" else parse_numbers(name, text)
              for name, text in stage_options.items() if text is not None}
     settings = read_settings(fields, where)
     if not lists:
@@ -45,7 +45,8 @@ def _words(text: str) -> list[Any]:
     return [part.strip() for part in text.split(",")]
 
 
-def _numbers(name: str, text: str) -> list[Any]:
+def parse_numbers(name: str, text: str) -> list[Any]:
+    """Whole and other numbers from a list such as `50,25`."""
     try:
         return [int(part) if part.strip().isdigit() else float(part) for part in text.split(",")]
     except ValueError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import shutil
@@ -12,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
+from typer.testing import CliRunner
 
 from ocnf_data import generate
 from ocnf_data.errors import OcnfError
@@ -19,6 +22,7 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.baselines import tvl1
+from ocnf_model.cli import app
 from ocnf_model.evaluate import Evaluation, evaluate, run_choose_weight, run_evaluate
 from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
 from ocnf_model.evaluation.measure import Row
@@ -181,11 +185,13 @@ def test_occupancy_is_compared_by_overlap(tmp_path: Path) -> None:
 
 def test_weights_are_chosen_written_and_used(tiny: str, tmp_path: Path) -> None:
     file = tmp_path / "tvl1.json"
-    lines: list[str] = []
-    choices = run_choose_weight(tiny, out=file, resolutions=[32], progress=lines.append)
+    console = Console(record=True, file=io.StringIO())
+    choices = run_choose_weight(tiny, out=file, resolutions=[32], console=console)
     assert [(one.variant, one.resolution, len(one.models)) for one in choices] == [("v4", 32, 1),
                                                                                   ("v2", 32, 1)]
-    assert len(lines) == 2 and all(one.weight in one.weights and len(one.weights) >= 6 for one in choices)
+    assert all(one.weight in one.weights and len(one.weights) >= 6 for one in choices)
+    printed = console.export_text()
+    assert "v4 at 32³, 1 models" in printed and f"{min(choices[0].mean_mm):.4f}" in printed
     text = json.loads(file.read_text())
     for one in text["choices"]:
         one["weight"] = 0.05  # far from any default
@@ -200,6 +206,19 @@ def test_weights_are_chosen_written_and_used(tiny: str, tmp_path: Path) -> None:
         file.write_text(broken)
         with pytest.raises(OcnfError, match="not a file of TV-L1 weights"):
             evaluate(None, tiny, methods=["tvl1"], weights=file)
+
+
+def test_the_command_chooses_weights_from_a_grid_of_ones_own(tiny: str, tmp_path: Path) -> None:
+    def run(weights: str):
+        return CliRunner().invoke(app, ["choose-weight", tiny, "--out", str(tmp_path / "w.json"),
+                                        "--resolution", "32", "--weights", weights])
+
+    assert run("1,2,4,8,16,32").exit_code == 0
+    for choice in json.loads((tmp_path / "w.json").read_text())["choices"]:
+        assert set(choice["weights"]) >= {1, 2, 4, 8, 16, 32}
+        assert choice["mean_mm"][choice["weights"].index(choice["weight"])] == min(choice["mean_mm"])
+    with pytest.raises(OcnfError, match="too few weights; found 2"):
+        raise run("1,2").exception or AssertionError
 
 
 def test_a_run_that_is_not_there(tiny: str, tmp_path: Path) -> None:
