@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ocnf_data.octree import GridOctree
 from ocnf_model.losses import Pair
 from ocnf_model.octree import OctreeBatch
 
@@ -24,6 +25,11 @@ def mad_mm(prediction: OctreeBatch, truth: OctreeBatch, tau: float) -> Tensor:
     depth, height, width = pair.structure.shape
     costs = (pair.prediction.clamp(-1, 1).double() - pair.target.clamp(-1, 1).double()).abs()
     return pair.sum_over_voxels(costs).mean(1) / (depth * height * width) * (1000 * tau)
+
+
+def grid_mad_mm(prediction: GridOctree, truth: GridOctree, tau: float) -> float:
+    """`mad_mm` of one octree against another."""
+    return mad_mm(OctreeBatch.from_grids([prediction]), OctreeBatch.from_grids([truth]), tau).item()
 
 
 @dataclass(frozen=True, eq=False)

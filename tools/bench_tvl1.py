@@ -18,7 +18,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.fusion import default_truncation
 from ocnf_data.octree import TARGET
 from ocnf_model.baselines import minimise
-from ocnf_model.baselines.crossval import mad_mm
+from ocnf_model.metrics import grid_mad_mm
 
 SCALE = 1.125  # bin centres in units of l_j tau
 
@@ -40,7 +40,7 @@ def main() -> None:
         for resolution in arguments.resolutions:
             histogram = octrees[str(Encoding.HISTOGRAM), resolution]
             truth, tau = octrees[TARGET, resolution], default_truncation(resolution)
-            volfus = mad_mm(octrees[str(Encoding.TSDF), resolution], truth, tau)
+            volfus = grid_mad_mm(octrees[str(Encoding.TSDF), resolution], truth, tau)
             for weight in arguments.weights:
                 start = time.perf_counter()
                 solution = minimise(histogram, weight)
@@ -49,7 +49,7 @@ def main() -> None:
                 rows.append([f"{resolution}^3", f"{weight:g}", f"{seconds:.2f}", str(solution.iterations),
                              f"{len(solution.state.u) * 512 / histogram.leaf_width().size:.1%}",
                              f"{solution.energy:.1f}", f"{solution.gap:.1e}", f"{octree.n_leaves:,}",
-                             f"{mad_mm(octree, truth, tau):.4f}", f"{volfus:.4f}"])
+                             f"{grid_mad_mm(octree, truth, tau):.4f}", f"{volfus:.4f}"])
         print(f"### {Path(mesh).stem}, {arguments.threads} threads\n")
         print_table("grid | weight | seconds | iterations | voxels stored | energy | gap | leaves | MAD mm | "
                     "VolFus MAD mm", rows)

@@ -11,16 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
-from ocnf_data.octree.bits import leaf_of_voxel
 from ocnf_model.baselines.total_variation import tvl1
-
-F32 = npt.NDArray[np.float32]
-I64 = npt.NDArray[np.int64]
-U64 = npt.NDArray[np.uint64]
+from ocnf_model.metrics import grid_mad_mm
 
 Case = tuple[GridOctree, GridOctree, float]
 """(histogram, ground truth TSDF / tau, tau in metres) of one model."""
@@ -83,7 +78,7 @@ def choose_weight(cases: Iterable[Case], weights: Sequence[float] = DEFAULT_WEIG
     def measure(weight: float) -> list[float]:
         mads = []
         for i, (histogram, truth, tau) in enumerate(models):
-            mads.append(mad_mm(tvl1(histogram, weight, iterations, tolerance), truth, tau))
+            mads.append(grid_mad_mm(tvl1(histogram, weight, iterations, tolerance), truth, tau))
             if progress is not None:
                 progress(weight, i, mads[-1])
         return mads
@@ -101,36 +96,6 @@ def choose_weight(cases: Iterable[Case], weights: Sequence[float] = DEFAULT_WEIG
                             found=f"the best at {order[best]:.3g}, an end of the grid")
         beyond = order[best] ** 2 / order[inner]
         tried[beyond] = measure(beyond)
-
-
-def mad_mm(prediction: GridOctree, truth: GridOctree, tau: float) -> float:
-    """Mean |prediction - truth| over all voxels in millimetres; values over tau (metres), cut to [-1, 1]."""
-    if prediction.shape != truth.shape:
-        raise OcnfError("prediction and ground truth differ in size", where="mad_mm",
-                        found=prediction.shape, expected=truth.shape)
-    sums = np.zeros(len(prediction.prefix) - 1)
-    _sum_differences(prediction.trees.reshape(-1, 2), prediction.prefix, prediction.data[:, 0],
-                     truth.trees.reshape(-1, 2), truth.prefix, truth.data[:, 0], sums)
-    return float(sums.sum()) / float(np.prod(truth.shape)) * tau * 1e3
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _sum_differences(trees_a: U64, prefix_a: I64, a: F32, trees_b: U64, prefix_b: I64, b: F32,
-                     sums: npt.NDArray[np.float64]) -> None:
-    """Sum over the voxels of each tree of |a - b|, both cut to [-1, 1]."""
-    for tree in prange(len(sums)):
-        # Where both are one leaf, so is the difference.
-        step = 8 if trees_a[tree, 0] == 0 and trees_b[tree, 0] == 0 else 1
-        total = 0.0
-        for z in range(0, 8, step):
-            for y in range(0, 8, step):
-                for x in range(0, 8, step):
-                    i, _ = leaf_of_voxel(trees_a[tree, 0], trees_a[tree, 1], z, y, x)
-                    j, _ = leaf_of_voxel(trees_b[tree, 0], trees_b[tree, 1], z, y, x)
-                    left = min(max(np.float64(a[prefix_a[tree] + i]), -1.0), 1.0)
-                    right = min(max(np.float64(b[prefix_b[tree] + j]), -1.0), 1.0)
-                    total += abs(left - right)
-        sums[tree] = total * step**3
 
 
 def _checked_cases(cases: Iterable[Case]) -> list[Case]:
