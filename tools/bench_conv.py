@@ -1,16 +1,17 @@
 """Octree convolution beside dense convolution, and the whole network, on real structures.
 
-    python tools/bench_conv.py [MESH | CATEGORY] [--no-dense] [--device cuda] [--threads 2]
+    python tools/bench_conv.py [MESH | CATEGORY] [--levels 3] [--no-dense] [--device cuda]
 
 The structure is that of 4 noisy views as a histogram at 256^3 (`--resolution`). Without a mesh, a procedural
-chair. Times are the fastest of several calls, tables of the structure made before, their making on a line of
-its own. Peak memory is that of a fresh process that does this one thing, above what the imports take. The
-network has random weights, whose surface is as large as any.
+chair. Times are medians of several calls, tables of the structure made before, their making on a line of its
+own. Peak memory is that of a fresh process that does this one thing, above what the imports take. The network
+is the shipped one, so that the leaves it adds near its surface are as many as in use.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -26,6 +27,7 @@ from torch.nn.functional import conv3d
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch, OctreeConv3d
+from ocnf_model.checkpoint import open_run
 from ocnf_model.losses import l1_loss
 from ocnf_model.neighbours import Neighbours
 from ocnf_model.structure import Structure
@@ -39,6 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     parser.add_argument("mesh", nargs="?", default="chair")
     parser.add_argument("--resolution", type=int, default=256)
+    parser.add_argument("--levels", type=int, default=3, help="of the network, the last at --resolution")
     parser.add_argument("--no-dense", action="store_true", help="leave the dense convolutions out")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=2)
@@ -50,7 +53,7 @@ def main() -> None:
     if options.work:
         print(peak_of(WORKS[options.work[0]], Path(options.work[1]), torch.device(options.device)))
         return
-    resolutions = tuple(options.resolution >> shift for shift in (2, 1, 0))
+    resolutions = tuple(options.resolution >> shift for shift in reversed(range(options.levels)))
     octrees = sample_octrees(options.mesh, resolutions)
     inputs = [octrees[str(Encoding.HISTOGRAM), resolution] for resolution in resolutions]
     print(f"{Path(options.mesh).stem}: {inputs[-1]}, {options.threads} threads, {options.device}\n")
@@ -82,30 +85,42 @@ def network_table(inputs: list[GridOctree], folder: str, options: argparse.Names
     """The making of the tables, and all levels of the network, these included."""
     device = torch.device(options.device)
     trees = Structure.of_grids(inputs[-1:]).trees
-    network = OctNetFusion().to(device)
+    network = shipped(options.levels).to(device)
+    n_leaves = [0]
 
     def reconstruct() -> None:
         with torch.no_grad():
-            network([OctreeBatch.from_grids([octree]).to(device) for octree in inputs])
+            *_, last = network([OctreeBatch.from_grids([octree]).to(device) for octree in inputs])
+        n_leaves[0] = last.n_leaves
 
     build, run = seconds(lambda: Neighbours.build(Structure(trees)), device), seconds(reconstruct, device)
     rows = [["neighbour tables", f"{build:.3f}", ""],
-            ["three levels", f"{run:.2f}", measured_apart("network", folder, options)],
+            [f"{options.levels} levels, {n_leaves[0]:,} leaves at the last", f"{run:.2f}",
+             measured_apart("network", folder, options)],
             ["training step, last level", "", measured_apart("training", folder, options)]]
     print_table("work | s | peak MB", rows)
 
 
-def seconds(call: Callable[[], object], device: torch.device, repeat: int = 3) -> float:
-    """The fastest of several calls, after a first one."""
-    fastest = float("inf")
-    for i in range(repeat + 1):
+def shipped(levels: int) -> OctNetFusion:
+    """The shipped network; levels that it has not got begin with the weights of its last one."""
+    run = open_run("pretrained", min(levels, 3))
+    network = run.headers[0].architecture.network(levels).eval().requires_grad_(False)
+    network.load_state_dict(run.network.state_dict(), strict=False)
+    for level in range(len(run.headers), levels):
+        network.start_from_previous(level)
+    return network
+
+
+def seconds(call: Callable[[], object], device: torch.device, repeat: int = 5) -> float:
+    """The median of several calls, after a first one."""
+    times = []
+    for _ in range(repeat + 1):
         start = time.perf_counter()
         call()
         if device.type == "cuda":
             torch.cuda.synchronize(device)
-        if i:
-            fastest = min(fastest, time.perf_counter() - start)
-    return fastest
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:])
 
 
 @torch.no_grad()
@@ -144,12 +159,12 @@ def _one_layer(into: int, out: int) -> Callable[[list[OctreeBatch]], None]:
 
 def _network(inputs: list[OctreeBatch]) -> None:
     with torch.no_grad():
-        OctNetFusion().to(inputs[0].device)(inputs)
+        shipped(len(inputs)).to(inputs[0].device)(inputs)
 
 
 def _training_step(inputs: list[OctreeBatch]) -> None:
-    network = OctNetFusion().to(inputs[0].device)
-    result = network.run(inputs, frozen=2)[-1].raw
+    network = shipped(len(inputs)).to(inputs[0].device).requires_grad_(True)
+    result = network.run(inputs, frozen=len(inputs) - 1)[-1].raw
     l1_loss(result, inputs[-1].with_features(inputs[-1].features[:, :1])).backward()
 
 

@@ -2,9 +2,8 @@
 
 python tools/demo_train.py --out demo-out --seed 0
 
-Everything is learned from scratch on procedural shapes seen from one side: a single noisy depth map, of which
-plain fusion knows nothing behind the surface. It differs from the paper's setting where that saves time, and
-says so.
+Everything is learned from scratch, on procedural shapes of which two noisy depth maps show a part: the rest is
+for the network to complete. It differs from the paper's setting where that saves time, and says so.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ MANIFEST = Path(__file__).parent.parent / "manifests" / "demo-train.yaml"
 
 SETTINGS = TrainSettings(
     levels=2, channels=(8, 16, 32), stages=(
-        Stage(epochs=16, batch_size=2, accumulate=1, learning_rate=2e-3, decay=Decay.COSINE),
-        Stage(epochs=4, batch_size=1, accumulate=1, learning_rate=1e-3, decay=Decay.COSINE)))
+        Stage(epochs=12, batch_size=2, accumulate=1, learning_rate=2e-3, decay=Decay.COSINE),
+        Stage(epochs=3, batch_size=1, accumulate=1, learning_rate=1e-3, decay=Decay.COSINE)))
 PAPER = TrainSettings()
 
 
