@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ocnf_data.octree import GridOctree
 from ocnf_data.storage import Store
 from ocnf_model.checkpoint import PRETRAINED, PRETRAINED_FOLDER, open_run
+from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
 from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
@@ -20,7 +21,6 @@ from ocnf_model.evaluation.report import Summary, markdown, print_tables, summar
 from ocnf_model.evaluation.weights import read_weights, run_choose_weight
 from ocnf_model.network import OctNetFusion
 from ocnf_model.octree import OctreeBatch
-from ocnf_model.training.world import pick_device
 
 __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 

@@ -25,11 +25,11 @@ from ocnf_data.storage import Store
 from ocnf_data.surface import octree_surface
 from ocnf_model.baselines import tvl1
 from ocnf_model.checkpoint import open_run
+from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods, run_levels
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree import OctreeBatch
 from ocnf_model.region import Region, largest_object, observed
-from ocnf_model.training.world import pick_device
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

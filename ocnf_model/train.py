@@ -13,8 +13,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from ocnf_data.shards.record import canonical_json
 from ocnf_data.storage import Store
 from ocnf_data.validation import validate
 from ocnf_model.checkpoint import Architecture, DataFacts, load_level
+from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.batches import open_split
 from ocnf_model.training.report import Reporter, write_curves
@@ -96,8 +96,9 @@ def _run(data: str, folder: Path, settings: TrainSettings, manifest: dict[str, A
                       open_split(data, settings, level, manifest, train=False), facts, manifest["target"],
                       world)
             unit = " mm" if settings.output is Output.TSDF else ""
-            with Reporter(folder, level + 1, settings.resolutions[level], place.steps, unit, world.is_main,
-                          console) as report, _memory_errors(settings, level):
+            with memory_errors(f"level {level + 1}", _less_memory(settings, level)), \
+                    Reporter(folder, level + 1, settings.resolutions[level], place.steps, unit,
+                             world.is_main, console) as report:
                 Trainer(job, place, tensors, report).run()
             place, tensors = Place(level=level + 1, rows=place.rows), {}
             if world.is_main:
@@ -154,21 +155,12 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
     return read_settings(fields.get("settings"), where), validate(DataFacts, fields.get("data"), where)
 
 
-@contextmanager
-def _memory_errors(settings: TrainSettings, level: int) -> Iterator[None]:
-    """Say what to lower when memory runs out."""
-    try:
-        yield
-    except (MemoryError, RuntimeError) as error:
-        starved = isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate" in str(error)
-        if not starved:
-            raise
-        stage = settings.stage(level)
-        ways = [f"a smaller batch_size (now {stage.batch_size}) with more accumulate "
-                f"(now {stage.accumulate})"] if stage.batch_size > 1 else []
-        ways += [] if settings.checkpointing else ["--checkpointing"]
-        ways += [] if settings.precision == "bfloat16" else ["--precision bfloat16"]
-        ways += [f"smaller channels (now {settings.channels}) or fewer levels"]
-        raise OcnfError("out of memory", code="memory", where=f"level {level + 1}",
-                        found=str(error).splitlines()[0] if str(error) else None,
-                        fix=f"try {', or '.join(ways)}") from error
+def _less_memory(settings: TrainSettings, level: int) -> str:
+    """What to lower when memory runs out."""
+    stage = settings.stage(level)
+    ways = [f"a smaller batch_size (now {stage.batch_size}) with more accumulate "
+            f"(now {stage.accumulate})"] if stage.batch_size > 1 else []
+    ways += [] if settings.checkpointing else ["--checkpointing"]
+    ways += [] if settings.precision == "bfloat16" else ["--precision bfloat16"]
+    ways += [f"smaller channels (now {settings.channels}) or fewer levels"]
+    return f"try {', or '.join(ways)}"

@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.table import Table
 
 from ocnf_data.shards import load_dataset
+from ocnf_model.devices import pick_device
 from ocnf_model.losses import l1_loss
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.batches import make_example, open_split
 from ocnf_model.training.settings import TrainSettings
-from ocnf_model.training.world import pick_device
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 python tools/demo_train.py --out demo-out --seed 0
 
-Everything is learned from scratch, on procedural shapes of which two noisy depth maps show a part: the rest is
-for the network to complete. It differs from the paper's setting where that saves time, and says so.
+Everything is learned from scratch, on procedural shapes of which two noisy depth maps show a part: the rest
+is for the network to complete. It differs from the paper's setting where that saves time, and says so.
 """
 
 from __future__ import annotations

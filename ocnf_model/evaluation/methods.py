@@ -15,7 +15,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import volfus_from_encoding
-from ocnf_model.evaluation.devices import memory_errors, wait_for
+from ocnf_model.devices import memory_errors, wait_for
 from ocnf_model.network import LevelOutput, OctNetFusion
 from ocnf_model.octree import OctreeBatch
 

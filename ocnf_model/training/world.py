@@ -19,7 +19,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from ocnf_data.errors import OcnfError
+from ocnf_model.devices import pick_device
 
 
 @dataclass(frozen=True)
@@ -86,20 +86,3 @@ def join_world(device: str) -> Iterator[World]:
         yield World(chosen, dist.get_rank(), dist.get_world_size())
     finally:
         dist.destroy_process_group()
-
-
-def pick_device(name: str) -> torch.device:
-    """The device of that name; `auto` is a GPU where there is one.
-
-    Raises:
-        OcnfError: no such device.
-    """
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    try:
-        device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as error:  # torch built without CUDA asserts
-        raise OcnfError("no such device here", field="device", found=name,
-                        expected=f"auto or cpu ({str(error).splitlines()[0]})") from error
-    return device

@@ -6,6 +6,7 @@ import copy
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner
@@ -181,10 +182,20 @@ def _epoch(tiny, epoch):
     return dataset
 
 
-def test_out_of_memory_says_what_to_lower(tiny, small, out, monkeypatch) -> None:
-    def starve(*_: object, **__: object) -> None:
-        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB")
+def _starve_gpu(*_: object, **__: object) -> None:
+    raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB")
 
+
+def _starve_cpu(*_: object, **__: object) -> None:
+    torch.empty(2**52, dtype=torch.uint8)
+
+
+def _starve_python(*_: object, **__: object) -> None:
+    np.empty(2**52, np.uint8)
+
+
+@pytest.mark.parametrize("starve", [_starve_gpu, _starve_cpu, _starve_python])
+def test_out_of_memory_says_what_to_lower(tiny, small, out, monkeypatch, starve) -> None:
     monkeypatch.setattr(OctNetFusion, "run", starve)
     with pytest.raises(OcnfError, match=r"level 1: out of memory.*batch_size \(now 2\).*--checkpointing"):
         train(tiny, out, small(), device="cpu")
