@@ -28,8 +28,8 @@ MANIFEST = Path(__file__).parent.parent / "manifests" / "demo-train.yaml"
 
 SETTINGS = TrainSettings(
     levels=2, channels=(8, 16, 32), stages=(
-        Stage(epochs=12, batch_size=2, accumulate=1, learning_rate=2e-3, decay=Decay.COSINE),
-        Stage(epochs=3, batch_size=1, accumulate=1, learning_rate=1e-3, decay=Decay.COSINE)))
+        Stage(epochs=10, batch_size=2, accumulate=1, learning_rate=2e-3, decay=Decay.COSINE),
+        Stage(epochs=2, batch_size=1, accumulate=1, learning_rate=1e-3, decay=Decay.COSINE)))
 PAPER = TrainSettings()
 
 
