@@ -46,8 +46,8 @@ def parse_methods(names: Sequence[str]) -> tuple[Method, ...]:
 
 
 DEFAULT_WEIGHTS: Final[dict[int, float]] = {64: 2.5, 128: 1.6, 256: 1.6}
-"""TV-L1's weights where none was chosen for the data at hand: the best ones for four procedural shapes of the
-demo's validation split (4 views, sigma 0.02), by `run_choose_weight`."""
+"""TV-L1's weights where none was chosen for the data at hand: those of `pretrained/tvl1.json` (real meshes, 4
+views, sigma 0.02), and the best ones for the demo's procedural shapes too."""
 
 
 def default_weight(resolution: int) -> float:

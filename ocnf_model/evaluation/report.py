@@ -7,15 +7,19 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from typing import Any, Final
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from ocnf_model.evaluation.measure import Row
 
 ALL = "all"
-_HEAD = ("resolution", "method", "MAD mm", "/ VolFus", "IoU", "precision", "recall", "seconds", "models")
+_NARROW: Final[dict[str, Any]] = {"box": box.SIMPLE, "padding": 0, "pad_edge": False, "title_justify": "left"}
+"""Nine columns of figures fit into a terminal of 80 columns."""
+_HEAD = ("grid", "method", "MAD mm", "/ VolFus", "IoU", "precision", "recall", "seconds", "models")
 
 
 @dataclass(frozen=True)
@@ -85,18 +89,15 @@ def _by_category(summaries: Sequence[Summary], variant: str) -> tuple[list[str],
 def print_tables(console: Console, summaries: Sequence[Summary], notes: Sequence[str]) -> None:
     """Show the means in the terminal."""
     for variant in dict.fromkeys(one.variant for one in summaries):
-        table = Table(title=f"{variant}: mean over all models", title_justify="left")
+        lines = _lines(summaries, variant, ALL)
+        table = Table(title=f"{variant}: mean over all models", **_NARROW)
         for number, title in enumerate(_HEAD):
             table.add_column(title, justify="left" if number < 2 else "right", no_wrap=True)
-        last = ""
-        for cells in _lines(summaries, variant, ALL):
-            if last and cells[0] != last:
-                table.add_section()
-            table.add_row(*cells)
-            last = cells[0]
+        for number, cells in enumerate(lines):
+            table.add_row(*cells, end_section=cells[0] != lines[min(number + 1, len(lines) - 1)][0])
         console.print(table)
         head, lines = _by_category(summaries, variant)
-        table = Table(title=f"{variant}: {_what(summaries, variant)} by category", title_justify="left")
+        table = Table(title=f"{variant}: {_what(summaries, variant)} by category", **_NARROW)
         for number, title in enumerate(head):
             table.add_column(title.replace(" ", "\n"), justify="right" if number else "left", no_wrap=True)
         for cells in lines:
