@@ -111,7 +111,7 @@ def markdown(summaries: Sequence[Summary], title: str, notes: Sequence[str]) -> 
     """The same as Markdown."""
     parts = [f"# {title}",
              "MAD is the mean |TSDF - ground truth| over all voxels of the cube, in millimetres. Figures are "
-             "means over the models, of runtime the median."]
+             "means over the models, of runtime the median; VolFus is in the data set and is not run."]
     for variant in dict.fromkeys(one.variant for one in summaries):
         parts += [f"## {variant}: all models", _table(_HEAD, _lines(summaries, variant, ALL)),
                   f"## {variant}: {_what(summaries, variant)} by category",
