@@ -1,17 +1,21 @@
 """The tools see what is right, and what is wrong, in a small data set."""
 
+import io
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards import browse
 from ocnf_data.shards.browse import StoredSample, find_sample, stored_samples
+from ocnf_model.evaluate import Evaluation
+from ocnf_model.evaluation.report import ALL, Summary
 
 TOOLS = Path(__file__).parent.parent / "tools"
 
@@ -143,3 +147,20 @@ def test_a_tool_says_in_a_sentence_what_is_missing(tmp_path, data):
         text = run(tool, tmp_path / "nothing", status=1)
         assert "error:" in text and "nothing" in text and "Traceback" not in text
     assert "v4" in run("show_sample.py", data, "--variant", "v4", "--pictures", tmp_path, status=1)
+
+
+@pytest.mark.parametrize(("ours", "won"), [((5.0, 2.0), True), ((5.0, 4.0), False), ((12.0, 2.0), False)])
+def test_the_training_demo_wants_to_win_at_both_resolutions(monkeypatch, ours, won):
+    monkeypatch.syspath_prepend(str(TOOLS))
+    from demo_train import PAPER, SETTINGS, differences, verdict
+
+    mads = {(64, "VolFus"): 20.0, (64, "TV-L1"): 10.0, (64, "Ours"): ours[0],
+            (128, "VolFus"): 3.0, (128, "TV-L1"): 5.0, (128, "Ours"): ours[1]}
+    summaries = [Summary("v2", ALL, side, method, 24, mad, 1, 1, 1, 1)
+                 for (side, method), mad in mads.items()]
+    console = Console(file=io.StringIO(), record=True)
+    assert verdict(Evaluation([], summaries, [], {}, ""), console) is won
+    assert (console.export_text().count("not better") == 0) is won
+    said = " ".join(differences())
+    assert str(SETTINGS.channels) in said and f"{SETTINGS.stage(0).learning_rate:g}" in said
+    assert f"{PAPER.stage(0).learning_rate:g}" in said
