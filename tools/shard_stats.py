@@ -20,6 +20,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from rich import box
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -91,13 +92,16 @@ def print_table(columns: Columns) -> None:
     grouped: dict[str, list[str]] = defaultdict(list)
     for name in columns:
         grouped[name.rpartition(" ")[0] or name].append(name)
-    table = Table("category", "n", title="means, in % of the voxels (coverage: of the pixels)")
+    table = Table(title="means, in % of the voxels (coverage: of the pixels)", title_justify="left",
+                  box=box.SIMPLE, padding=0, pad_edge=False)
+    table.add_column("category", no_wrap=True)
+    table.add_column("n", justify="right", no_wrap=True)
     for label, names in grouped.items():
-        resolutions = " / ".join(name.removeprefix(label).strip() for name in names)
+        resolutions = "/".join(name.removeprefix(label).strip() for name in names)
         table.add_column(f"{label}\n{resolutions}", justify="right", no_wrap=True)
     categories = [*sorted(set(columns["coverage"]) - {ALL}), ALL]
     for category in categories:
-        cells = (" / ".join(_mean(columns[name][category]) for name in names)
+        cells = ("/".join(_mean(columns[name][category]) for name in names)
                  for names in grouped.values())
         n_samples = str(len(columns["coverage"][category]))
         table.add_row(category, n_samples, *cells, end_section=category == categories[-2])
