@@ -76,8 +76,8 @@ def convolution_table(octree: GridOctree, folder: str, options: argparse.Namespa
         gflops = 2 * 27 * into * out * batch.n_leaves / forward / 1e9
         dense = None if options.no_dense else dense_seconds(into, out, batch.shape, device)
         rows.append([f"{into} -> {out}", f"{dense:.2f}" if dense else "-", f"{forward:.3f}",
-                     f"{dense / forward:.1f}" if dense else "-", f"{gflops:.0f}", f"{both:.3f}", f"{both / forward:.2f}",
-                     measured_apart(f"{into}-{out}", folder, options)])
+                     f"{dense / forward:.1f}" if dense else "-", f"{gflops:.0f}", f"{both:.3f}",
+                     f"{both / forward:.2f}", measured_apart(f"{into}-{out}", folder, options)])
     print_table("channels | dense s | octree s | ratio | GFLOP/s | + backward s | / forward | peak MB", rows)
 
 
