@@ -133,8 +133,10 @@ def print_info(summary: DatasetSummary, console: Console) -> None:
         categories = ", ".join(f"{category} {n}" for category, n in sorted(split.categories.items()))
         splits.add_row(name, str(split.shards), str(split.categories.total()), f"{split.size / 1e6:.1f}",
                        escape(categories))
-    members = Table(Column("member", no_wrap=True), "count", "MB", "kB each", "leaves, mean", "fewest",
-                    "most", "% of voxels", box=None, pad_edge=False)
+    figures = ("count", "MB", "kB\neach", "leaves,\nmean", "fewest", "most", "% of\nvoxels")
+    members = Table(Column("member", no_wrap=True),
+                    *(Column(title, justify="right", no_wrap=True) for title in figures),
+                    box=None, pad_edge=False)
     for part in sorted(summary.members.values(), key=_by_kind):
         cells = [part.name, str(part.count), f"{part.size / 1e6:.1f}", f"{part.size / part.count / 1e3:.1f}"]
         if part.name != JSON:
