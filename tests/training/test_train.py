@@ -48,6 +48,20 @@ def test_the_loss_falls_on_a_few_samples(tiny, small, out) -> None:
     assert min(row.val_mad for row in rows) < 0.5 * rows[0].val_mad
 
 
+def test_the_learning_rate_falls_over_all_epochs_of_a_level(tiny, small, out, monkeypatch) -> None:
+    rates, step = [], torch.optim.Adam.step
+
+    def noted(self, *args, **kwargs):
+        rates.append(self.param_groups[0]["lr"])
+        return step(self, *args, **kwargs)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", noted)
+    # 5 samples in batches of 2, the last filled up, 2 batches a step: 2 steps an epoch, 4 in all.
+    falling = stage(epochs=2, learning_rate=0.4, decay="cosine")
+    train(tiny, out, small(levels=1, stages=[falling]), device="cpu")
+    assert rates == pytest.approx([0.4, 0.2 * (1 + 0.5**0.5), 0.2, 0.2 * (1 - 0.5**0.5)])
+
+
 def test_a_run_leaves_curves_and_checkpoints(finished) -> None:
     with (finished / "curves.csv").open() as file:
         rows = list(csv.DictReader(file))
