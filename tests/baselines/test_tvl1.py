@@ -82,13 +82,13 @@ def test_energy_on_real_meshes_at_64(category: str, weight: float, oracle: Simpl
     if root is None:
         pytest.skip("OCNF_DATA is not set")
     mesh = read_mesh(min((Path(root) / "meshes" / category / "test").iterdir()))
-    check_energy(scan(mesh, 64).histogram, weight, oracle, gap=3e-5)
+    check_energy(scan(mesh, 64).histogram, weight, oracle)
 
 
-def check_energy(histogram: GridOctree, weight: float, oracle: SimpleNamespace, gap: float = 1e-6) -> None:
+def check_energy(histogram: GridOctree, weight: float, oracle: SimpleNamespace) -> None:
     """Within 1e-4 of the dense lower bound, and what `Solution` says of itself is true of the volume."""
     h = dense(histogram)
-    _, p, _ = oracle.solve(h, weight, gap)
+    _, p, _ = oracle.solve(h, weight, 1e-6)
     least = oracle.dual(p, h, weight)  # not above the minimum, whatever the gap
     solution = minimise(histogram, weight)
     expanded = oracle.primal(dense(solution.values())[0], h, weight)
