@@ -94,7 +94,9 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
                      n_figures=n_figures if out is not None else 0, up=up, console=console,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
     print_tables(console, found.summaries, found.notes)
-    if out is not None:
+    if out is None:
+        console.print("Nothing is written; --out DIR keeps the tables and draws figures.")
+    else:
         found.write(out)
         console.print(f"Tables and figures are in {out}", highlight=False, soft_wrap=True)
     return found
