@@ -1,4 +1,4 @@
-"""What the command lines share: a user's error is one red sentence and exit status 1."""
+"""What the command lines and tools share: an error is one red sentence and exit status 1; narrow tables."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import sys
 from collections.abc import Callable
 
 import typer
+from rich import box
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from ocnf_data.errors import OcnfError
 
@@ -26,3 +28,8 @@ def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> No
             raise
         print_error(str(error), console)
         sys.exit(1)
+
+
+def narrow_table(title: str) -> Table:
+    """A table without borders, of which ten columns of figures fit into 80 characters."""
+    return Table(title=title, title_justify="left", box=box.SIMPLE, padding=0, pad_edge=False)

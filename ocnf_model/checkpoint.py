@@ -28,7 +28,7 @@ from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
 
 CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"
-PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
+_PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
 
 Positive = Annotated[Int, Field(ge=1)]
 
@@ -217,22 +217,26 @@ def load_run(path: str | Path, levels: int | None = None) -> OctNetFusion:
     return open_run(path, levels).network
 
 
+def run_path(path: str | Path) -> Path:
+    """Where a run is, or would be; of `pretrained`, the checkpoints that come with the package."""
+    return _PRETRAINED_FOLDER if str(path) == PRETRAINED else Path(path).expanduser()
+
+
 def run_folder(path: str | Path) -> Path:
     """The folder of a run, or of the checkpoints that come with the package.
 
     Raises:
         OcnfError: there is no such folder.
     """
+    folder = run_path(path)
     if str(path) != PRETRAINED:
-        folder = Path(path).expanduser()
         if not folder.is_dir():
             raise OcnfError("no such run", code="missing", where=folder,
                             expected=f"a folder made by `ocnf-model train`, or {PRETRAINED}")
-        return folder
-    if not checkpoint_path(PRETRAINED_FOLDER, 1).is_file():
+    elif not checkpoint_path(folder, 1).is_file():
         raise OcnfError("this version comes without pretrained weights", code="missing", where=PRETRAINED,
                         fix="train some: ocnf-model train DATA --out RUN")
-    return PRETRAINED_FOLDER
+    return folder
 
 
 def trained_levels(folder: Path) -> int:

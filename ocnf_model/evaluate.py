@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ocnf_data.octree import GridOctree
 from ocnf_data.storage import Store
-from ocnf_model.checkpoint import PRETRAINED, PRETRAINED_FOLDER, open_run
+from ocnf_model.checkpoint import PRETRAINED, open_run, run_path
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
 from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
@@ -86,10 +86,10 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         trained = open_run(run)
         trained.check_fits(data, truncation_voxels=Facts.read(data).truncation_voxels)
         network, sides = trained.network.to(pick_device(device)), trained.resolutions
-    if weights is None and (kept := _folder(run) / WEIGHTS_FILE).exists():
+    if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
         weights = kept
-    if out is None and run != PRETRAINED and _folder(run).is_dir():
-        out = _folder(run) / "evaluation" / split
+    if out is None and run != PRETRAINED and run_path(run).is_dir():
+        out = run_path(run) / "evaluation" / split
     found = evaluate(network, data, sides=sides, split=split, methods=methods, weights=weights, limit=limit,
                      n_figures=n_figures if out is not None else 0, up=up, console=console,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
@@ -155,11 +155,6 @@ def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | 
                         surfaces, f"{model.key}, {plan.variant}", up)
                 progress.advance(task)
     return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}")
-
-
-def _folder(run: str) -> Path:
-    """Where a run is, or would be: the baselines need none."""
-    return PRETRAINED_FOLDER if run == PRETRAINED else Path(run).expanduser()
 
 
 def _surface(truth: GridOctree, facts: Facts) -> Surface:

@@ -86,16 +86,17 @@ def network_table(inputs: list[GridOctree], folder: str, options: argparse.Names
     device = torch.device(options.device)
     trees = Structure.of_grids(inputs[-1:]).trees
     network = shipped(options.levels).to(device)
-    n_leaves = [0]
+    n_leaves = 0
 
     def reconstruct() -> None:
+        nonlocal n_leaves
         with torch.no_grad():
             *_, last = network([OctreeBatch.from_grids([octree]).to(device) for octree in inputs])
-        n_leaves[0] = last.n_leaves
+        n_leaves = last.n_leaves
 
     build, run = seconds(lambda: Neighbours.build(Structure(trees)), device), seconds(reconstruct, device)
     rows = [["neighbour tables", f"{build:.3f}", ""],
-            [f"{options.levels} levels, {n_leaves[0]:,} leaves at the last", f"{run:.2f}",
+            [f"{options.levels} levels, {n_leaves:,} leaves at the last", f"{run:.2f}",
              measured_apart("network", folder, options)],
             ["training step, last level", "", measured_apart("training", folder, options)]]
     print_table("work | s | peak MB", rows)
@@ -103,7 +104,7 @@ def network_table(inputs: list[GridOctree], folder: str, options: argparse.Names
 
 def shipped(levels: int) -> OctNetFusion:
     """The shipped network; levels that it has not got begin with the weights of its last one."""
-    run = open_run("pretrained", min(levels, 3))
+    run = open_run("pretrained")
     network = run.headers[0].architecture.network(levels).eval().requires_grad_(False)
     network.load_state_dict(run.network.state_dict(), strict=False)
     for level in range(len(run.headers), levels):

@@ -22,6 +22,7 @@ from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.info import describe, print_info
 from ocnf_data.shards.report import print_verify
 from ocnf_data.shards.verify import verify
+from ocnf_data.terminal import print_error
 from ocnf_model.checkpoint import PRETRAINED
 from ocnf_model.evaluate import run_evaluate
 
@@ -87,7 +88,7 @@ def main(
             run_evaluate(PRETRAINED, str(data), out=pictures, limit=N_RECONSTRUCTED, n_figures=2, up=up,
                          console=console)
     except OcnfError as error:
-        Console(stderr=True).print(f"[red]error:[/] {error}")
+        print_error(str(error), Console(stderr=True))
         raise typer.Exit(1) from None
     console.print(f"\n[green]Done in {time.perf_counter() - begin:.0f} s.[/] Look at {out / 'pictures'}; "
                   f"check the physics with: python tools/check_shards.py {data}"

@@ -18,6 +18,7 @@ from rich.console import Console
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest, load_manifest
+from ocnf_data.terminal import print_error
 from ocnf_model.evaluate import WEIGHTS_FILE, Evaluation, run_choose_weight, run_evaluate
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.evaluation.report import ALL
@@ -86,7 +87,7 @@ def main(
         step(f"4. Compare on shapes never seen: ocnf-model evaluate {run} {data}")
         found = run_evaluate(str(run), str(data), console=console)
     except OcnfError as error:
-        Console(stderr=True).print(f"[red]error:[/] {error}")
+        print_error(str(error), Console(stderr=True))
         raise typer.Exit(1) from None
     console.print()
     won = verdict(found, console)

@@ -20,10 +20,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich import box
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
@@ -32,6 +30,7 @@ from ocnf_data.octree import GridOctree
 from ocnf_data.shards.browse import stored_samples
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
+from ocnf_data.terminal import narrow_table
 
 ALL = "all"
 Columns = dict[str, dict[str, list[float]]]
@@ -92,8 +91,7 @@ def print_table(columns: Columns) -> None:
     grouped: dict[str, list[str]] = defaultdict(list)
     for name in columns:
         grouped[name.rpartition(" ")[0] or name].append(name)
-    table = Table(title="means, in % of the voxels (coverage: of the pixels)", title_justify="left",
-                  box=box.SIMPLE, padding=0, pad_edge=False)
+    table = narrow_table("means, in % of the voxels (coverage: of the pixels)")
     table.add_column("category", no_wrap=True)
     table.add_column("n", justify="right", no_wrap=True)
     for label, names in grouped.items():

@@ -7,18 +7,15 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Final
+from itertools import zip_longest
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from ocnf_data.terminal import narrow_table
 from ocnf_model.evaluation.measure import Row
 
 ALL = "all"
-_NARROW: Final[dict[str, Any]] = {"box": box.SIMPLE, "padding": 0, "pad_edge": False, "title_justify": "left"}
-"""Nine columns of figures fit into a terminal of 80 columns."""
 _HEAD = ("grid", "method", "MAD mm", "/ VolFus", "IoU", "precision", "recall", "seconds", "models")
 
 
@@ -90,14 +87,14 @@ def print_tables(console: Console, summaries: Sequence[Summary], notes: Sequence
     """Show the means in the terminal."""
     for variant in dict.fromkeys(one.variant for one in summaries):
         lines = _lines(summaries, variant, ALL)
-        table = Table(title=f"{variant}: mean over all models", **_NARROW)
+        table = narrow_table(f"{variant}: mean over all models")
         for number, title in enumerate(_HEAD):
             table.add_column(title, justify="left" if number < 2 else "right", no_wrap=True)
-        for number, cells in enumerate(lines):
-            table.add_row(*cells, end_section=cells[0] != lines[min(number + 1, len(lines) - 1)][0])
+        for cells, following in zip_longest(lines, lines[1:], fillvalue=lines[-1]):
+            table.add_row(*cells, end_section=following[0] != cells[0])
         console.print(table)
         head, lines = _by_category(summaries, variant)
-        table = Table(title=f"{variant}: {_what(summaries, variant)} by category", **_NARROW)
+        table = narrow_table(f"{variant}: {_what(summaries, variant)} by category")
         for number, title in enumerate(head):
             table.add_column(title.replace(" ", "\n"), justify="right" if number else "left", no_wrap=True)
         for cells in lines:

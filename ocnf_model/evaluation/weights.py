@@ -14,12 +14,11 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.storage import Store, storage_errors
-from ocnf_model.baselines import choose_weight
+from ocnf_model.baselines import WeightChoice, choose_weight
 from ocnf_model.baselines.crossval import DEFAULT_WEIGHTS
 from ocnf_model.evaluation.models import Facts, Models
 
@@ -38,15 +37,6 @@ class Choice:
     weights: list[float]
     mean_mm: list[float]
     models: list[str]
-
-    def table(self) -> Table:
-        """The mean MAD of every weight tried, the best one marked."""
-        table = Table()
-        table.add_column("weight", justify="right")
-        table.add_column("MAD mm", justify="right")
-        for weight, mad in zip(self.weights, self.mean_mm, strict=True):
-            table.add_row(f"{weight:.3g}", f"{mad:.4f}", style="bold" if weight == self.weight else None)
-        return table
 
 
 def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None = None,
@@ -79,10 +69,12 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for variant in variants:
             for side in resolutions or facts.resolutions:
-                choice = _choose(facts, split, variant, side, n_models, weights, progress)
-                choices.append(choice)
-                progress.console.print(f"TV-L1, {variant} at {side}³, {len(choice.models)} models:",
-                                       choice.table(), sep="\n")
+                models, choice = _choose(facts, split, variant, side, n_models, weights, progress)
+                choices.append(Choice(variant, side, choice.weight, choice.weights.tolist(),
+                                      choice.mean_mm.tolist(), models))
+                if console is not None:
+                    console.print(f"TV-L1, {variant} at {side}³, {len(models)} models:", choice.table(), "",
+                                  sep="\n", highlight=False)
     text = json.dumps({"schema": _SCHEMA, "split": split, "choices": [asdict(one) for one in choices]},
                       indent=1)
     Store(out.parent).put_bytes(out.name, text.encode())
@@ -90,23 +82,19 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
 
 
 def _choose(facts: Facts, split: str, variant: str, side: int, n_models: int | None,
-            weights: Sequence[float], progress: Progress) -> Choice:
+            weights: Sequence[float], progress: Progress) -> tuple[list[str], WeightChoice]:
+    """The models' keys, and the choice on them."""
     wanted = n_models or next((n for most, n in _LARGEST_NUMBER_OF_MODELS.items() if side <= most), 5)
     models = list(Models(facts, split, variant, [Encoding.HISTOGRAM], [side], wanted))
-    task = progress.add_task(f"{variant} at {side}³", total=len(models) * len(weights))
+    task = progress.add_task("", total=len(models))
 
     def solved(weight: float, model: int, _: float) -> None:
-        bar = progress.tasks[progress.task_ids.index(task)]
-        total = max(int(bar.total or 0), int(bar.completed) + len(models) - model)  # the grid may grow
-        progress.update(task, advance=1, total=total,
-                        description=f"{variant} at {side}³, weight {weight:.3g}")
+        progress.update(task, completed=model + 1, description=f"{variant} at {side}³, weight {weight:.3g}")
 
     choice = choose_weight([(model.inputs[Encoding.HISTOGRAM][side], model.truths[side],
-                             facts.taus.get(side, math.nan)) for model in models], weights,
-                           progress=solved)
+                             facts.taus.get(side, math.nan)) for model in models], weights, progress=solved)
     progress.remove_task(task)
-    return Choice(variant, side, choice.weight, choice.weights.tolist(), choice.mean_mm.tolist(),
-                  [model.key for model in models])
+    return [model.key for model in models], choice
 
 
 def read_weights(path: Path) -> Mapping[tuple[str, int], float]:

@@ -57,7 +57,6 @@ class Stage(Strict):
     weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
     """Added to the gradient, times the weights."""
 
-
     def rate(self, done: int, steps: int) -> float:
         """The learning rate of a step.
 

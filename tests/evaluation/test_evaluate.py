@@ -208,6 +208,12 @@ def test_weights_are_chosen_written_and_used(tiny: str, tmp_path: Path) -> None:
             evaluate(None, tiny, methods=["tvl1"], weights=file)
 
 
+def test_choosing_weights_is_silent_without_a_console(tiny: str, tmp_path: Path,
+                                                      capsys: pytest.CaptureFixture[str]) -> None:
+    run_choose_weight(tiny, out=tmp_path / "w.json", resolutions=[32])
+    assert capsys.readouterr() == ("", "")
+
+
 def test_the_command_chooses_weights_from_a_grid_of_ones_own(tiny: str, tmp_path: Path) -> None:
     def run(weights: str):
         return CliRunner().invoke(app, ["choose-weight", tiny, "--out", str(tmp_path / "w.json"),

@@ -13,6 +13,7 @@ from ocnf_data.manifest import Manifest
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
 from ocnf_model.evaluate import run_evaluate
+from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS
 from ocnf_model.evaluation.report import ALL
 from ocnf_model.evaluation.weights import read_weights
 
@@ -40,7 +41,9 @@ def test_info_shows_it() -> None:
 
 
 def test_the_weights_of_tvl1_were_chosen_for_its_data() -> None:
-    assert set(read_weights(FOLDER / "tvl1.json")) == {("v4_n02", side) for side in (64, 128, 256)}
+    chosen = read_weights(FOLDER / "tvl1.json")
+    assert set(chosen) == {("v4_n02", side) for side in (64, 128, 256)}
+    assert {side: weight for (_, side), weight in chosen.items()} == DEFAULT_WEIGHTS
 
 
 @pytest.mark.slow
