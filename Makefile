@@ -40,9 +40,9 @@ lint: setup
 
 # On procedural shapes, or on real meshes laid out as ModelNet with MESHES=DIR.
 bench: setup
-	@for of in octree codec fusion loader conv tvl1; do echo; $(BIN)/python tools/bench_$$of.py || exit 1; done
-	@$(BIN)/python tools/bench_render.py $(if $(MESHES),"$(MESHES)")
-	@$(BIN)/python tools/bench_generate.py $(if $(MESHES),--meshes "$(MESHES)")
+	@for of in octree codec fusion loader conv tvl1; do echo; $(BIN)/python tools/bench/$$of.py || exit 1; done
+	@$(BIN)/python tools/bench/render.py $(if $(MESHES),"$(MESHES)")
+	@$(BIN)/python tools/bench/generate.py $(if $(MESHES),--meshes "$(MESHES)")
 
 # Kernels of older sources, which nothing uses any more.
 .PHONY: stale

@@ -14,8 +14,8 @@ _HOME = {
     "GridOctree": "octree",
     "OcnfError": "errors",
     "Report": "generation",
-    "ShardDataset": "loader",
-    "Views": "cameras",
+    "ShardDataset": "loading.dataset",
+    "Views": "views.cameras",
     "fuse_histogram": "fusion",
     "fuse_occupancy": "fusion",
     "fuse_tdf_occupancy": "fusion",
@@ -41,14 +41,14 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from ocnf_data.cameras import Views
     from ocnf_data.errors import OcnfError
     from ocnf_data.fusion import fuse_histogram, fuse_occupancy, fuse_tdf_occupancy, fuse_tsdf
     from ocnf_data.generation import Report, generate
-    from ocnf_data.loader import ShardDataset
+    from ocnf_data.loading.dataset import ShardDataset
     from ocnf_data.manifest import load_manifest
     from ocnf_data.octree import GridOctree
     from ocnf_data.render import render_depth
+    from ocnf_data.views.cameras import Views
 
 
 def __getattr__(name: str) -> Any:

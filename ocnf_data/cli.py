@@ -109,8 +109,8 @@ def verify(folder: Folder, jobs: Jobs) -> None:
 
     Names the shard, sample, member and offset of whatever is wrong; the exit status is then 1.
     """
-    from ocnf_data.shards.report import print_verify
-    from ocnf_data.shards.verify import verify as check
+    from ocnf_data.verify.report import print_verify
+    from ocnf_data.verify.verify import verify as check
 
     with _Bar("verifying") as progress:
         report = check(folder, jobs, progress)
@@ -120,7 +120,7 @@ def verify(folder: Folder, jobs: Jobs) -> None:
 @app.command()
 def info(folder: Folder) -> None:
     """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
-    from ocnf_data.shards.info import describe, print_info
+    from ocnf_data.verify.info import describe, print_info
 
     print_info(describe(folder), _out)
 
@@ -131,13 +131,13 @@ def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
 
     A shard that comes out different from what dataset.json vouches for is an error. Nothing is deleted.
     """
+    from ocnf_data.files.storage import Store
     from ocnf_data.generation import generate as run
     from ocnf_data.generation.plan import make_plan
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.shards.repair import find_damaged, quarantine, restore_index
-    from ocnf_data.storage import Store
+    from ocnf_data.verify.repair import find_damaged, quarantine, restore_index
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
@@ -181,7 +181,7 @@ def watertight(
     suffix: Annotated[str, typer.Option(help="Format in a folder: .ply, .obj, .off or .stl.")] = ".ply",
 ) -> None:
     """Make meshes watertight: an 80-view TSDF, cut by marching cubes, in the mesh's own coordinates."""
-    from ocnf_data.watertight import watertight_path
+    from ocnf_data.meshes.watertight import watertight_path
 
     with _Bar("watertight") as progress:
         report = watertight_path(source, out, resolution, jobs, level, suffix, progress)

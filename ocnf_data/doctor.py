@@ -31,7 +31,7 @@ from rich.table import Table
 from ocnf_data.errors import OcnfError
 from ocnf_data.render import render_depth
 from ocnf_data.render.gl import LIBRARIES, MISSING, OSMESA
-from ocnf_data.rigs import fibonacci, intrinsics, look_from
+from ocnf_data.views.rigs import fibonacci, intrinsics, look_from
 
 _TIMEOUT = 120.0  # seconds; compiling the rasteriser for the first time takes about 15
 _MEMORY_PER_CORE = 1 << 30

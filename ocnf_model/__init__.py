@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 _HOME = {
     "OctNetFusion": "network",
-    "OctreeBatch": "octree",
+    "OctreeBatch": "octree.batch",
     "OctreeConv3d": "ops",
     "concat": "ops",
     "grid_pool": "ops",
@@ -30,7 +30,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from ocnf_model.network import OctNetFusion
-    from ocnf_model.octree import OctreeBatch
+    from ocnf_model.octree.batch import OctreeBatch
     from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
 
 

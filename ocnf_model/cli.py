@@ -88,8 +88,8 @@ def train(
 
     `torchrun --nproc-per-node N -m ocnf_model.cli train ...` trains on N GPUs.
     """
-    from ocnf_model.train import train as run
     from ocnf_model.training.options import merge_options
+    from ocnf_model.training.run import train as run
 
     chosen = merge_options(
         settings,
@@ -132,7 +132,7 @@ def evaluate(
     up: Annotated[str, typer.Option(help="The models' axis that points up in the figures: y or z.")] = "z",
 ) -> None:
     """Compare the network with plain and TV-L1 fusion: errors, overlap and time, as tables and a figure."""
-    from ocnf_model.evaluate import run_evaluate
+    from ocnf_model.evaluation.run import run_evaluate
 
     methods = [str(name) for name in method] if method else None
     run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
@@ -181,7 +181,7 @@ def fuse(
         "--keep-unseen", help="Keep surfaces that close off what no camera has seen.")] = False,
 ) -> None:
     """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
-    from ocnf_model.fuse import run_fuse
+    from ocnf_model.scan.fuse import run_fuse
 
     run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device,
              weight=weight, every=every, keep_unseen=keep_unseen, console=_out)

@@ -24,7 +24,7 @@ def print_info(run: str | Path, console: Console) -> None:
     """
     folder = run_folder(run)
     if not trained_levels(folder):
-        from ocnf_model.train import read_run_settings
+        from ocnf_model.training.run import read_run_settings
 
         settings, data = read_run_settings(folder)
         console.print(f"{folder}: {settings.levels} levels to be trained on {data.name} ({data.n_train} "

@@ -14,8 +14,8 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.octree import OctreeBatch
-from ocnf_model.structure import Structure
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.structure import Structure
 
 
 class Reduction(StrEnum):

@@ -14,7 +14,7 @@ from torch.utils.checkpoint import checkpoint
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_model.octree import OctreeBatch
+from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
 
 Choice = TypeVar("Choice", bound=StrEnum)

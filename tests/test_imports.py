@@ -22,8 +22,8 @@ def loaded(statement: str, names: tuple[str, ...]) -> list[str]:
 
 @pytest.mark.parametrize("statement", [
     "import ocnf_data",
-    "import ocnf_data.octree, ocnf_data.fusion, ocnf_data.render, ocnf_data.cameras, ocnf_data.noise",
-    "import ocnf_data.manifest, ocnf_data.storage, ocnf_data.shards, ocnf_data.viewstore",
+    "import ocnf_data.octree, ocnf_data.fusion, ocnf_data.render, ocnf_data.views.noise",
+    "import ocnf_data.manifest, ocnf_data.files.storage, ocnf_data.shards, ocnf_data.views.store",
     "from ocnf_data import GridOctree, Views, render_depth, fuse_tsdf, generate, load_manifest, OcnfError",
     "import ocnf_data.generation.sample",
     "import ocnf_data.cli",

@@ -14,8 +14,8 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards import browse
 from ocnf_data.shards.browse import StoredSample, find_sample, stored_samples
-from ocnf_model.evaluate import Evaluation
 from ocnf_model.evaluation.report import ALL, Summary
+from ocnf_model.evaluation.run import Evaluation
 
 TOOLS = Path(__file__).parent.parent / "tools"
 

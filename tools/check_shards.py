@@ -27,16 +27,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ocnf_data.cameras import Views
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.remake import remake
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
+from ocnf_data.octree.surface import octree_surface
 from ocnf_data.shards.browse import StoredSample, stored_samples
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
-from ocnf_data.surface import octree_surface
+from ocnf_data.views.cameras import Views
 
 F64 = npt.NDArray[np.float64]
 

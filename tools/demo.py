@@ -19,12 +19,12 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.shards.dataset import load_dataset
-from ocnf_data.shards.info import describe, print_info
-from ocnf_data.shards.report import print_verify
-from ocnf_data.shards.verify import verify
 from ocnf_data.terminal import print_error
+from ocnf_data.verify.info import describe, print_info
+from ocnf_data.verify.report import print_verify
+from ocnf_data.verify.verify import verify
 from ocnf_model.checkpoint import PRETRAINED
-from ocnf_model.evaluate import run_evaluate
+from ocnf_model.evaluation.run import run_evaluate
 
 MANIFESTS = Path(__file__).parent.parent / "manifests"
 MOST_MESHES = 24

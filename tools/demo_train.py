@@ -19,10 +19,10 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.terminal import print_error
-from ocnf_model.evaluate import WEIGHTS_FILE, Evaluation, run_choose_weight, run_evaluate
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.evaluation.report import ALL
-from ocnf_model.train import train
+from ocnf_model.evaluation.run import WEIGHTS_FILE, Evaluation, run_choose_weight, run_evaluate
+from ocnf_model.training.run import train
 from ocnf_model.training.settings import Decay, Stage, TrainSettings
 
 MANIFEST = Path(__file__).parent.parent / "manifests" / "demo-train.yaml"

@@ -29,15 +29,15 @@ from rich.table import Table
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.octree.codec import decode_raw, encode
 from ocnf_data.octree.oc import read_oc
 from ocnf_data.shards.dataset import DatasetInfo
 from ocnf_data.shards.index import ShardIndex, index_from_tar, read_facts
 from ocnf_data.shards.tarformat import BLOCK, make_header, parse_header
-from ocnf_data.sources.formats import FORMATS
 
-GOLDEN = Path(__file__).parent.parent / "tests" / "shards" / "golden-v1"
+GOLDEN = Path(__file__).parent.parent / "tests" / "data" / "shards" / "golden-v1"
 MAX_BYTES = 1 << 16
 MEMORY_MB = 2048
 

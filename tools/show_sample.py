@@ -19,12 +19,12 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.generation.remake import Origin, remake
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
-from ocnf_data.pictures import busiest_plane, busiest_window, draw_depth, draw_slice
+from ocnf_data.octree.surface import octree_surface
+from ocnf_data.render.pictures import busiest_plane, busiest_window, draw_depth, draw_slice
 from ocnf_data.render.shade import shade
 from ocnf_data.shards.browse import StoredSample, find_sample, stored_samples
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
-from ocnf_data.surface import octree_surface
 
 
 def draw_sample(

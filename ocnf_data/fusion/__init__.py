@@ -15,15 +15,15 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.cameras import Views
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import accumulate
-from ocnf_data.fusion.frames import Grid, cell_offsets, grid_cameras
+from ocnf_data.fusion.projection import Grid, cell_offsets, grid_cameras
 from ocnf_data.fusion.pyramid import DepthPyramid
+from ocnf_data.fusion.threads import map_in_threads
 from ocnf_data.fusion.traverse import ROOT, fuse_row, place_row
-from ocnf_data.fusion.workers import map_in_threads
 from ocnf_data.octree import GridOctree
+from ocnf_data.views.cameras import Views
 
 __all__ = ["DepthPyramid", "default_truncation", "fuse", "fuse_histogram", "fuse_occupancy",
            "fuse_tdf_occupancy", "fuse_tsdf"]

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ocnf_data.fusion.frames import CELL
+from ocnf_data.fusion.projection import CELL
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]

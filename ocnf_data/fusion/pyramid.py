@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ocnf_data.cameras import Views
 from ocnf_data.errors import OcnfError
-from ocnf_data.fusion.workers import map_in_threads
+from ocnf_data.fusion.threads import map_in_threads
+from ocnf_data.views.cameras import Views
 
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]

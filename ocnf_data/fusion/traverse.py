@@ -24,7 +24,7 @@ from ocnf_data.fusion.accumulate import (
     project_edge,
     read,
 )
-from ocnf_data.fusion.sift import MIXED, N_FREE, N_OPEN, STATE, sift
+from ocnf_data.fusion.cull import MIXED, N_FREE, N_OPEN, STATE, sift
 from ocnf_data.octree.bits import MAX_LEAVES, pack_block
 
 F32 = npt.NDArray[np.float32]

@@ -19,7 +19,7 @@ from typing import Any
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, make_shard
-from ocnf_data.generation.supervisor import close_supervisor_of_this_thread
+from ocnf_data.generation.worker.supervisor import close_supervisor_of_this_thread
 
 Finished = Generator[ShardDone, None, None]
 # A worker process (not the child its items run in) that dies, of the out-of-memory killer say, costs its

@@ -20,11 +20,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.fingerprint import fingerprint
 from ocnf_data.generation.records import EXCLUDED, Failure, Item, ShardPlan
-from ocnf_data.manifest import Manifest
-from ocnf_data.selection import SPLITS, Entry
-from ocnf_data.shards.record import canonical_json
+from ocnf_data.manifest import SPLITS, Entry, Manifest
 from ocnf_data.shards.tarformat import MAX_KEY, MAX_NAME, input_member, target_member
 
 PLAN_SCHEMA = 1

@@ -18,7 +18,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ocnf_data.storage import Store
+from ocnf_data.files.storage import Store
 
 _LIVE = ".progress"
 _LOOK_SECONDS = 0.5

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.cameras import Views
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.records import Item
 from ocnf_data.generation.sample import Noise, observe, read_item, render_item
 from ocnf_data.manifest import Manifest
-from ocnf_data.sources import Mesh, normalise
+from ocnf_data.meshes import Mesh, normalise
+from ocnf_data.views.cameras import Views
 
 
 @dataclass(frozen=True)

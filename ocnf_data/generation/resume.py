@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store
 from ocnf_data.generation.plan import PLAN_SCHEMA, Plan
 from ocnf_data.manifest import difference
 from ocnf_data.shards.dataset import DATASET, PLAN
-from ocnf_data.storage import Store
 
 _ELSEWHERE = "generate into another folder, or put it back as it was"
 # They decide when to give up, not what comes out; and where meshes lie is no part of what they are.

@@ -16,16 +16,17 @@ from pathlib import Path
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.generation import supervisor
+from ocnf_data.files.lock import exclusive
+from ocnf_data.files.storage import Store
 from ocnf_data.generation.backends import finish
-from ocnf_data.generation.exclusive import exclusive
 from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
 from ocnf_data.generation.report import Report
 from ocnf_data.generation.resume import adopt
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
-from ocnf_data.generation.supervisor import ChildSetup, Limits
+from ocnf_data.generation.worker import supervisor
+from ocnf_data.generation.worker.supervisor import ChildSetup, Limits
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.shards.dataset import (
     DATASET,
@@ -37,8 +38,7 @@ from ocnf_data.shards.dataset import (
     load_dataset,
     write_dataset,
 )
-from ocnf_data.storage import Store
-from ocnf_data.viewstore import ViewStore, view_fingerprint
+from ocnf_data.views.store import ViewStore, view_fingerprint
 
 VIEWS = "views"
 

@@ -14,23 +14,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.cameras import Views
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
-from ocnf_data.generation.occupancy import occupied
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.manifest import Manifest, Target, Variant
-from ocnf_data.noise import add_noise, view_noise
+from ocnf_data.meshes import Mesh, Normalisation, normalise, read_mesh
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.codec import encode
+from ocnf_data.octree.occupied import occupied
 from ocnf_data.render import render_depth
-from ocnf_data.rigs import look_from, rig_from_name
-from ocnf_data.shards.record import canonical_json
+from ocnf_data.shapes import make_shape
 from ocnf_data.shards.tarformat import JSON, input_member, target_member
-from ocnf_data.sources import Mesh, Normalisation, normalise, read_mesh
-from ocnf_data.sources.shapes import make_shape
-from ocnf_data.viewstore import KeptViews, ViewStore, view_fingerprint
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.noise import add_noise, view_noise
+from ocnf_data.views.rigs import look_from, rig_from_name
+from ocnf_data.views.store import KeptViews, ViewStore, view_fingerprint
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]

@@ -12,14 +12,14 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json
+from ocnf_data.files.storage import Store
 from ocnf_data.generation.progress import LiveCount
 from ocnf_data.generation.records import Failure, Item, Sample, ShardPlan
-from ocnf_data.generation.supervisor import ChildSetup, Limits, supervisor_of_this_thread
+from ocnf_data.generation.worker.supervisor import ChildSetup, Limits, supervisor_of_this_thread
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.index import ShardIndex, index_path
-from ocnf_data.shards.record import canonical_json
 from ocnf_data.shards.writer import ShardWriter, find_complete
-from ocnf_data.storage import Store
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""The parts of the streaming loader; all but `batch.py` know nothing of torch (see `ocnf_data.loader`)."""
+"""The streaming loader (`dataset.py`) and its parts; only `dataset.py` and `batch.py` know torch."""

@@ -17,7 +17,7 @@ from ocnf_data.loading.order import Indices, Partition, Uneven
 from ocnf_data.loading.settings import OnError
 from ocnf_data.octree.symmetry import Symmetry
 
-_log = logging.getLogger("ocnf_data.loader")
+_log = logging.getLogger("ocnf_data.loading.dataset")
 # Skipping these would hide that nothing can be read at all.
 _NOT_DAMAGE = frozenset({"unreachable", "permission"})
 

@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store
 from ocnf_data.octree.stored import TARGET
 from ocnf_data.shards.dataset import DatasetInfo, ShardEntry, load_dataset
 from ocnf_data.shards.index import Member, ShardIndex, shard_path
 from ocnf_data.shards.reader import load_index
 from ocnf_data.shards.tarformat import JSON, input_member, parse_member, target_member
-from ocnf_data.storage import Store
 
 _READERS = 8  # indices read at a time: over a network it is the latency that counts
 

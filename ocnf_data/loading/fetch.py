@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.loading.catalogue import Catalogue, Shard
 from ocnf_data.octree.codec import decode_raw
 from ocnf_data.octree.stored import TARGET, RawOctree
@@ -25,7 +26,6 @@ from ocnf_data.shards.faults import end_faults, member_faults
 from ocnf_data.shards.index import Member
 from ocnf_data.shards.reader import check_size
 from ocnf_data.shards.tarformat import BLOCK, JSON, TRAILER, padding, parse_member
-from ocnf_data.storage import Store, storage_errors
 
 ReadRange = Callable[[int, int], bytes]
 """The bytes from a start to an end; fewer where the tar ends, which the checks tell with key and member."""

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.cameras import Views
 from ocnf_data.errors import OcnfError
+from ocnf_data.views.cameras import Views
 
 __all__ = ["BACKENDS", "render_depth"]
 
@@ -56,7 +56,7 @@ def render_depth(
 ) -> F32:
     """Depth maps (V, H, W) float32: z in metres at the pixel centres, inf where the ray hits nothing.
 
-    Both sides of a face are drawn, whatever its winding. Conventions are those of `ocnf_data.cameras`.
+    Both sides of a face are drawn, whatever its winding. Conventions are those of `ocnf_data.views.cameras`.
 
     Args:
         vertices: (N, 3) finite world coordinates in metres.

@@ -3,10 +3,10 @@
 What decodes octrees is in modules of its own: `shards.verify`, `shards.info`, `shards.repair`.
 """
 
+from ocnf_data.files.records import SCHEMA_VERSION
 from ocnf_data.shards.dataset import Counts, DatasetInfo, FileEntry, ShardEntry, load_dataset, write_dataset
 from ocnf_data.shards.index import ShardIndex
 from ocnf_data.shards.reader import ShardReader
-from ocnf_data.shards.record import SCHEMA_VERSION
 from ocnf_data.shards.writer import ShardWriter, find_complete, is_complete
 
 __all__ = [

@@ -9,13 +9,13 @@ from functools import cached_property
 from typing import Any
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.codec import decode
 from ocnf_data.shards.dataset import DatasetInfo, load_dataset
 from ocnf_data.shards.index import SampleEntry
 from ocnf_data.shards.reader import ShardReader
 from ocnf_data.shards.tarformat import JSON
-from ocnf_data.storage import Store
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, JsonValue, model_validator
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import SCHEMA_VERSION, Count, Record, Sha256, Text, canonical_json, sha256_hex
+from ocnf_data.files.storage import Store
 from ocnf_data.shards.index import ShardIndex, ShardName, check_split
-from ocnf_data.shards.record import SCHEMA_VERSION, Count, Record, Sha256, Text, canonical_json, sha256_hex
-from ocnf_data.storage import Store
 
 DATASET = "dataset.json"
 FAILURES = "failures.jsonl"

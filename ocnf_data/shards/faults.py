@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import IO
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import sha256_hex
 from ocnf_data.shards.index import Member
-from ocnf_data.shards.record import sha256_hex
 from ocnf_data.shards.tarformat import BLOCK, TRAILER, make_header, padding, parse_header, tar_name
 
 

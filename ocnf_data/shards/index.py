@@ -21,7 +21,7 @@ from typing import IO, Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.shards.record import SCHEMA_VERSION, Count, Record, Sha256, Text, sha256_hex
+from ocnf_data.files.records import SCHEMA_VERSION, Count, Record, Sha256, Text, sha256_hex
 from ocnf_data.shards.tarformat import (
     BLOCK,
     JSON,

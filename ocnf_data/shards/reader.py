@@ -22,6 +22,8 @@ from types import TracebackType
 from typing import IO, Any
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import sha256_hex
+from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.faults import end_faults, member_faults, read_member
 from ocnf_data.shards.index import (
@@ -33,9 +35,7 @@ from ocnf_data.shards.index import (
     index_path,
     shard_path,
 )
-from ocnf_data.shards.record import sha256_hex
 from ocnf_data.shards.tarformat import BLOCK, TRAILER
-from ocnf_data.storage import Store, storage_errors
 
 
 class ShardReader:

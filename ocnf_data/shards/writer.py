@@ -18,6 +18,8 @@ from types import TracebackType
 from typing import IO
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json, sha256_hex
+from ocnf_data.files.storage import Store
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.index import (
     MAX_INDEX_BYTES,
@@ -30,9 +32,7 @@ from ocnf_data.shards.index import (
     shard_name,
     shard_path,
 )
-from ocnf_data.shards.record import canonical_json, sha256_hex
 from ocnf_data.shards.tarformat import JSON, TRAILER, make_header, padding
-from ocnf_data.storage import Store
 
 
 class ShardWriter:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines.total_variation import tvl1
-from ocnf_model.metrics import grid_mad_mm
+from ocnf_model.evaluation.metrics import grid_mad_mm
 
 Case = tuple[GridOctree, GridOctree, float]
 """(histogram, ground truth TSDF / tau, tau in metres) of one model."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ocnf_data.cameras import Views
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, Origin, Resolution, fuse_tsdf
 from ocnf_data.octree import GridOctree
+from ocnf_data.views.cameras import Views
 
 
 def volfus(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,

@@ -15,13 +15,13 @@ import torch
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
-from ocnf_data.surface import octree_surface
+from ocnf_data.octree.surface import octree_surface
 from ocnf_model.baselines import tvl1
 from ocnf_model.evaluation.methods import Method, run_levels, stored_volfus
+from ocnf_model.evaluation.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.evaluation.models import Facts, Model, Plan
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import OctNetFusion, Output
-from ocnf_model.octree import OctreeBatch
+from ocnf_model.octree.batch import OctreeBatch
 
 Surface = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]
 Weight = Callable[[str, int], float]

@@ -17,7 +17,7 @@ from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import volfus_from_encoding
 from ocnf_model.devices import memory_errors, wait_for
 from ocnf_model.network import LevelOutput, OctNetFusion
-from ocnf_model.octree import OctreeBatch
+from ocnf_model.octree.batch import OctreeBatch
 
 
 class Method(StrEnum):

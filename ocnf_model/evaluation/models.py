@@ -9,7 +9,7 @@ from typing import Any
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.loader import Batch, ShardDataset
+from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_model.evaluation.methods import Method

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.storage import Store, storage_errors
+from ocnf_data.files.storage import Store, storage_errors
 from ocnf_model.baselines import WeightChoice, choose_weight
 from ocnf_model.baselines.crossval import DEFAULT_WEIGHTS
 from ocnf_model.evaluation.models import Facts, Models

@@ -10,8 +10,8 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from ocnf_model.leafmap import sparse_product
-from ocnf_model.neighbours import N_OFFSETS, Neighbours
+from ocnf_model.octree.leafmap import sparse_product
+from ocnf_model.octree.neighbours import N_OFFSETS, Neighbours
 
 Result = TypeVar("Result")
 

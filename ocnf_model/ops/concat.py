@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.leafmap import leaf_means
-from ocnf_model.octree import OctreeBatch
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.leafmap import leaf_means
 
 
 def concat(a: OctreeBatch, b: OctreeBatch) -> OctreeBatch:

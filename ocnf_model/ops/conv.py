@@ -21,11 +21,11 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.neighbours import Neighbours
-from ocnf_model.octree import OctreeBatch
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.neighbours import Neighbours
+from ocnf_model.octree.structure import Structure
 from ocnf_model.ops.chunks import Chunk, gather, plan, share
 from ocnf_model.ops.gemm import linear
-from ocnf_model.structure import Structure
 
 
 class OctreeConv3d(nn.Module):

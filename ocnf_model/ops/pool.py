@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.octree import OctreeBatch
-from ocnf_model.resample import Halving
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.resample import Halving
 
 
 class Pooling(StrEnum):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.octree import OctreeBatch
-from ocnf_model.resample import doubled
-from ocnf_model.structure import Structure
-from ocnf_model.surface import surface_trees
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.resample import doubled
+from ocnf_model.octree.structure import Structure
+from ocnf_model.ops.near_surface import surface_trees
 
 
 def split_surface(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ocnf_model.octree import OctreeBatch
-from ocnf_model.resample import doubled
-from ocnf_model.structure import Structure
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.resample import doubled
+from ocnf_model.octree.structure import Structure
 
 
 def grid_unpool(x: OctreeBatch, guide: OctreeBatch | Structure | None = None) -> OctreeBatch:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from ocnf_data.loader import Batch, Octrees, ShardDataset
+from ocnf_data.loading.dataset import Batch, Octrees, ShardDataset
 from ocnf_model.network import Output
-from ocnf_model.octree import OctreeBatch
-from ocnf_model.structure import Structure
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.structure import Structure
 from ocnf_model.training.settings import TrainSettings
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ocnf_data.storage import Store
+from ocnf_data.files.storage import Store
 from ocnf_model.training.state import EpochRow
 
 CURVES = "curves.csv"

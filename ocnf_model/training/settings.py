@@ -17,10 +17,10 @@ from pydantic import Field, field_validator
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.strict_yaml import read_yaml
+from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refused, validate
 from ocnf_data.loading.augment import Augment
 from ocnf_data.loading.settings import OnError
-from ocnf_data.strict_yaml import read_yaml
-from ocnf_data.validation import Int, NotEmpty, Real, Strict, refused, validate
 from ocnf_model.network import Carry, Join, Output
 
 Positive = Annotated[Int, Field(ge=1)]

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.loader import Batch, ShardDataset
+from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_model.checkpoint import (
     Architecture,
     DataFacts,
@@ -22,8 +22,8 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
     torch_version,
 )
+from ocnf_model.evaluation.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.losses import bce_loss, l1_loss
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
 from ocnf_model.training.report import Reporter

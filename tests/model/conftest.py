@@ -11,8 +11,8 @@ import torch
 from hypothesis import strategies as st
 
 from ocnf_data.octree import GridOctree
-from ocnf_model.octree import OctreeBatch
-from ocnf_model.structure import Structure
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.octree.structure import Structure
 
 
 def random_trees(rng: np.random.Generator, n: int, likelihood: float) -> np.ndarray:

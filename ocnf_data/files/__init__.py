@@ -1,0 +1,1 @@
+"""Files: local or remote storage, YAML, validated records, locks."""

@@ -1,0 +1,1 @@
+"""The child process that makes samples and can be killed, and the one that supervises it."""

@@ -1,0 +1,6 @@
+"""Where meshes come from: files, folders of them, and procedural shapes."""
+
+from ocnf_data.meshes.listing import list_modelnet
+from ocnf_data.meshes.read import Mesh, Normalisation, normalise, read_mesh
+
+__all__ = ["Mesh", "Normalisation", "list_modelnet", "normalise", "read_mesh"]

@@ -1,0 +1,40 @@
+"""STL, binary and ASCII. Its triangles share no vertices: corner c of triangle f is vertex 3 f + c."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from ocnf_data.meshes.formats.polygons import (
+    F64,
+    I64,
+    check_face_count,
+    parse_numbers,
+    plain_text,
+    unreadable,
+)
+
+_HEADER_BYTES = 84  # 80 of free text, then the number of triangles
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_VERTEX = re.compile(rb"\bvertex\b([^\n]*\n)", re.IGNORECASE)
+
+
+def parse_stl(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
+    """Vertices (3 M, 3) and triangles (M, 3); binary if the size fits its count, else ASCII."""
+    n = int.from_bytes(data[80:_HEADER_BYTES], "little")
+    if len(data) >= _HEADER_BYTES and len(data) == _HEADER_BYTES + n * _RECORD.itemsize:
+        check_face_count(n, max_faces, where)
+        corners = np.frombuffer(data, _RECORD, offset=_HEADER_BYTES)["corners"]
+        vertices = corners.reshape(-1, 3).astype(np.float64)
+    elif data[:512].lstrip()[:5].lower() == b"solid":
+        check_face_count(data.count(b"vertex") // 3, max_faces, where)
+        lines = np.frombuffer(b"".join(_VERTEX.findall(plain_text(data))), np.uint8)
+        values, counts = parse_numbers(lines, where, np.float64)
+        if (counts != 3).any() or counts.size % 3:
+            raise unreadable("a triangle has not three corners of three coordinates", where)
+        vertices = values.reshape(-1, 3)
+    else:
+        raise unreadable("not an STL file: its size does not fit the number of triangles it claims", where,
+                         found=f"{len(data)} bytes, {n} triangles")
+    return vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)

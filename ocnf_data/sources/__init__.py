@@ -1,6 +1,0 @@
-"""Where meshes come from: files, folders of them, and procedural shapes."""
-
-from ocnf_data.sources.listing import list_modelnet
-from ocnf_data.sources.meshes import Mesh, Normalisation, normalise, read_mesh
-
-__all__ = ["Mesh", "Normalisation", "list_modelnet", "normalise", "read_mesh"]

@@ -1,0 +1,1 @@
+"""Checking, describing and repairing a data set on disk."""

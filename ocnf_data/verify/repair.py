@@ -1,0 +1,126 @@
+"""Setting damaged shards aside, so that generation makes exactly those again. Nothing is ever deleted.
+
+`dataset.json` stays where it is: it says what the new shards must hash to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import count
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.shards.dataset import load_dataset
+from ocnf_data.shards.index import index_path, is_shard, shard_path
+from ocnf_data.shards.reader import rebuild_index
+from ocnf_data.verify.report import Problem
+from ocnf_data.verify.verify import verify
+
+QUARANTINE = "quarantine"
+
+
+@dataclass(frozen=True)
+class DamagedShard:
+    """A shard that `verify` found fault with.
+
+    Attributes:
+        split: the split's name.
+        shard: `shard-000000.tar`.
+        problems: what is wrong, at least one.
+    """
+
+    split: str
+    shard: str
+    problems: tuple[Problem, ...]
+
+    @property
+    def path(self) -> str:
+        """`train/shard-000000.tar`."""
+        return shard_path(self.split, self.shard)
+
+    @property
+    def number(self) -> int:
+        """The shard's number in its split."""
+        return int(self.shard.removeprefix("shard-").removesuffix(".tar"))
+
+
+def find_damaged(
+    url: str | Store, jobs: int = 1, progress: Callable[[int, int], None] | None = None
+) -> list[DamagedShard]:
+    """The shards of a data set that are not whole, missing ones included, in the order of their paths."""
+    report = verify(url, jobs, progress)
+    damaged = []
+    for path in report.damaged_shards:
+        split, _, shard = path.partition("/")
+        problems = tuple(problem for problem in report.problems if problem.file == path)
+        damaged.append(DamagedShard(split, shard, problems))
+    return damaged
+
+
+def restore_index(url: str | Store, split: str, shard: str) -> bool:
+    """Write the index of a shard anew, if the tar is whole and `dataset.json` vouches for it.
+
+    Returns:
+        False where the tar is not whole: then the shard has to be generated again.
+    """
+    store = url if isinstance(url, Store) else Store(url)
+    for entry_split, entry in load_dataset(store).shards():
+        if (entry_split, entry.shard) == (split, shard):
+            break
+    else:
+        raise OcnfError("dataset.json lists no such shard", code="missing", where=store.url,
+                        found=f"{split}/{shard}")
+    if not store.exists(shard_path(split, shard)):
+        return False
+    try:
+        index = rebuild_index(store, split, entry)
+    except OcnfError as error:
+        if error.code in ("permission", "unreachable", "io"):  # says nothing about the bytes
+            raise
+        return False
+    store.put_bytes(index_path(split, shard), index.to_json())
+    return True
+
+
+def quarantine(url: str | Store, path: str) -> list[str]:
+    """Move a shard and its index to `quarantine/`; what is there already keeps its name.
+
+    Args:
+        url: folder or fsspec URL of the data set.
+        path: `train/shard-000000.tar`.
+
+    Returns:
+        The new names, in the data set. The index goes first: from then on the shard does not count as done.
+    """
+    if not is_shard(path):
+        raise OcnfError("not a shard's path", code="name", where=repr(path),
+                        expected="train/shard-000000.tar")
+    store = url if isinstance(url, Store) else Store(url)
+    split, _, shard = path.partition("/")
+    moved = []
+    for name in (index_path(split, shard), path):
+        if store.exists(name):
+            moved.append(_move(store, name, _free_name(store, f"{QUARANTINE}/{name}")))
+    return moved
+
+
+def _free_name(store: Store, name: str) -> str:
+    if not store.exists(name):
+        return name
+    return next(free for number in count(1) if not store.exists(free := f"{name}.{number}"))
+
+
+def _move(store: Store, name: str, target: str) -> str:
+    """Rename where the store is a local folder; copy whole and then remove elsewhere."""
+    source, destination = store.local_path(name), store.local_path(target)
+    with storage_errors(store.where(name)):
+        if source is not None and destination is not None:
+            destination.parent.mkdir(parents=True, exist_ok=True)
+            source.replace(destination)
+            return target
+        with store.open(name) as file, store.writing(target) as path, path.open("wb") as copy:
+            while piece := file.read(2**20):
+                copy.write(piece)
+    store.remove(name)
+    return target

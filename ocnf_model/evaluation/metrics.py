@@ -1,0 +1,82 @@
+"""What evaluation reports of each volume; equal to the same figures of the dense volumes (SEMANTICS 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ocnf_data.octree import GridOctree
+from ocnf_model.losses import Pair
+from ocnf_model.octree.batch import OctreeBatch
+
+
+@torch.no_grad()
+def mad_mm(prediction: OctreeBatch, truth: OctreeBatch, tau: float) -> Tensor:
+    """(B,) float64: mean |prediction - truth| over all voxels of each volume, in millimetres.
+
+    Args:
+        prediction: TSDF / tau; clipped to [-1, 1] here.
+        truth: the same.
+        tau: truncation distance in metres.
+    """
+    pair = Pair.of(prediction, truth)
+    depth, height, width = pair.structure.shape
+    costs = (pair.prediction.clamp(-1, 1).double() - pair.target.clamp(-1, 1).double()).abs()
+    return pair.sum_over_voxels(costs).mean(1) / (depth * height * width) * (1000 * tau)
+
+
+def grid_mad_mm(prediction: GridOctree, truth: GridOctree, tau: float) -> float:
+    """`mad_mm` of one octree against another."""
+    return mad_mm(OctreeBatch.from_grids([prediction]), OctreeBatch.from_grids([truth]), tau).item()
+
+
+@dataclass(frozen=True, eq=False)
+class Overlap:
+    """Voxels of each volume, (B,) float64, that are occupied in both, and in only one of the two."""
+
+    both: Tensor
+    only_predicted: Tensor
+    only_true: Tensor
+
+    @property
+    def iou(self) -> Tensor:
+        """Intersection over union, (B,)."""
+        return _ratio(self.both, self.both + self.only_predicted + self.only_true)
+
+    @property
+    def precision(self) -> Tensor:
+        """Share of what is predicted that is true, (B,)."""
+        return _ratio(self.both, self.both + self.only_predicted)
+
+    @property
+    def recall(self) -> Tensor:
+        """Share of what is true that is predicted, (B,)."""
+        return _ratio(self.both, self.both + self.only_true)
+
+
+@torch.no_grad()
+def tsdf_overlap(prediction: OctreeBatch, truth: OctreeBatch) -> Overlap:
+    """Overlap of the voxels whose TSDF is 0 or less."""
+    pair = Pair.of(prediction, truth)
+    return _overlap(pair, pair.prediction <= 0, pair.target <= 0)
+
+
+@torch.no_grad()
+def occupancy_overlap(prediction: OctreeBatch, truth: OctreeBatch) -> Overlap:
+    """Overlap of the voxels whose probability of being occupied is 0.5 or more."""
+    pair = Pair.of(prediction, truth)
+    return _overlap(pair, pair.prediction >= 0.5, pair.target >= 0.5)
+
+
+def _overlap(pair: Pair, predicted: Tensor, true: Tensor) -> Overlap:
+    def count(cells: Tensor) -> Tensor:
+        return pair.sum_over_voxels(cells.double()).sum(1)
+
+    return Overlap(count(predicted & true), count(predicted & ~true), count(~predicted & true))
+
+
+def _ratio(part: Tensor, whole: Tensor) -> Tensor:
+    """Part of the whole; of nothing, all: an empty prediction of an empty volume is right."""
+    return torch.where(whole > 0, part / whole.clamp(min=1), torch.ones_like(whole))

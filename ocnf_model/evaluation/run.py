@@ -1,0 +1,172 @@
+"""The network against VolFus and TV-L1 on a data set: tables, CSV and the paper's qualitative figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ocnf_data.files.storage import Store
+from ocnf_data.octree import GridOctree
+from ocnf_model.checkpoint import PRETRAINED, open_run, run_path
+from ocnf_model.devices import pick_device
+from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
+from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
+from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
+from ocnf_model.evaluation.models import Facts, Models, Plan, plan_variants
+from ocnf_model.evaluation.report import Summary, markdown, print_tables, summarise, to_csv
+from ocnf_model.evaluation.weights import read_weights, run_choose_weight
+from ocnf_model.network import OctNetFusion
+from ocnf_model.octree.batch import OctreeBatch
+
+__all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
+
+WEIGHTS_FILE = "tvl1.json"
+"""In a run's folder: TV-L1's weights, if no other file is named."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What an evaluation found.
+
+    Attributes:
+        rows: one a model, variant, resolution and method.
+        summaries: their means, by category and over all.
+        notes: what was left out or is approximate, a clause each.
+        figures: PNG by file name.
+        title: the data set, split and run.
+    """
+
+    rows: list[Row]
+    summaries: list[Summary]
+    notes: list[str]
+    figures: dict[str, bytes]
+    title: str
+
+    def write(self, out: Path) -> list[Path]:
+        """Write `evaluation.md`, `summary.csv`, `models.csv` and the figures into a folder."""
+        files = {"evaluation.md": markdown(self.summaries, self.title, self.notes).encode(),
+                 "summary.csv": to_csv(self.summaries).encode(), "models.csv": to_csv(self.rows).encode(),
+                 **self.figures}
+        store = Store(out)
+        for name, content in files.items():
+            store.put_bytes(name, content)
+        return [out / name for name in files]
+
+
+def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None = None, device: str = "auto",
+                 methods: list[str] | None = None, weights: Path | None = None, limit: int | None = None,
+                 n_figures: int = 3, up: str = "z", console: Console | None = None) -> Evaluation:
+    """Evaluate a run, print the tables and write them.
+
+    Args:
+        run: a training run, or `pretrained`; read only where `ours` is among the methods.
+        data: a data set, folder or URL.
+        split: of it.
+        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder of yours, else
+            nothing is written.
+        device: of the network: auto, cpu, cuda, ...
+        methods: `ours`, `volfus`, `tvl1`; None: all that the data set has the inputs for.
+        weights: TV-L1's, a file that `run_choose_weight` wrote; None: RUN/tvl1.json if there is one, else
+            `DEFAULT_WEIGHTS`, and a note says so.
+        limit: the first so many models only.
+        n_figures: how many models are drawn, each of another category.
+        up: which axis of the models points up, y or z.
+        console: to print to.
+
+    Raises:
+        OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
+    """
+    console = console or Console()
+    network, sides = None, None
+    if methods is None or Method.OURS in methods:
+        trained = open_run(run)
+        trained.check_fits(data, truncation_voxels=Facts.read(data).truncation_voxels)
+        network, sides = trained.network.to(pick_device(device)), trained.resolutions
+    if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
+        weights = kept
+    if out is None and run != PRETRAINED and run_path(run).is_dir():
+        out = run_path(run) / "evaluation" / split
+    found = evaluate(network, data, sides=sides, split=split, methods=methods, weights=weights, limit=limit,
+                     n_figures=n_figures if out is not None else 0, up=up, console=console,
+                     title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
+    print_tables(console, found.summaries, found.notes)
+    if out is None:
+        console.print("Nothing is written; --out DIR keeps the tables and draws figures.")
+    else:
+        found.write(out)
+        console.print(f"Tables and figures are in {out}", highlight=False, soft_wrap=True)
+    return found
+
+
+def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | None = None,
+             split: str = "test", methods: Sequence[str] | None = None,
+             weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
+             console: Console | None = None, title: str = "") -> Evaluation:
+    """Evaluate a network where it is, or the baselines alone.
+
+    Args:
+        network: in evaluation mode; None: the baselines alone.
+        data: a data set, folder or URL.
+        sides: resolutions of the network's levels; None: the data set's, from the lowest on.
+        split: of it.
+        methods: as for `run_evaluate`.
+        weights: TV-L1's, a file; None: `DEFAULT_WEIGHTS`.
+        limit: the first so many models only.
+        n_figures: how many models are drawn.
+        up: which axis of the models points up.
+        console: for the progress; None shows none.
+        title: of the report.
+    """
+    facts = Facts.read(data)
+    chosen = parse_methods([*Method] if methods is None else methods)
+    if network is None and methods is None:
+        chosen = tuple(method for method in chosen if method is not Method.OURS)
+    levels: list[int] = []
+    if network is not None and Method.OURS in chosen:
+        levels = level_sides(facts, sides or facts.resolutions[: len(network.levels)])
+    plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
+                                 required=methods is not None)
+    weight = _weights(weights, plans, facts.resolutions, notes)
+    rows: list[Row] = []
+    figures: dict[str, bytes] = {}
+    sets = [Models(facts, split, plan.variant, list(dict.fromkeys(plan.sources.values())), facts.resolutions,
+                   limit) for plan in plans]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
+        for plan, models in zip(plans, sets, strict=True):
+            task = progress.add_task(plan.variant, total=len(models))
+            bench, drawn = Bench(facts, plan, weight, network, levels), set[str]()
+            for model in models:
+                draw = len(drawn) < n_figures and model.category not in drawn
+                surfaces: dict[tuple[int, str], Surface] = {}
+                for result in bench.run(model):
+                    rows.append(result.row)
+                    if draw:
+                        surfaces[result.row.resolution, result.row.method] = result.field.surface()
+                if draw:
+                    drawn.add(model.category)
+                    surfaces |= {(side, TRUTH): _surface(truth, facts)
+                                 for side, truth in model.truths.items()}
+                    figures[f"{plan.variant}-{model.key}.png"] = draw_surfaces(
+                        surfaces, f"{model.key}, {plan.variant}", up)
+                progress.advance(task)
+    return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}")
+
+
+def _surface(truth: GridOctree, facts: Facts) -> Surface:
+    return Field(OctreeBatch.from_grids([truth]), facts.is_occupancy).surface()
+
+
+def _weights(path: Path | None, plans: Sequence[Plan], sides: Sequence[int], notes: list[str]) -> Weight:
+    """TV-L1's weights, with a note on those that nobody chose for this data."""
+    known = {} if path is None else read_weights(path)
+    wanted = [(plan.variant, side) for plan in plans if Method.TVL1 in plan.sources for side in sides]
+    lacking = [f"{variant} at {side}³" for variant, side in wanted if (variant, side) not in known]
+    if lacking:
+        notes.append(f"TV-L1's weight is the package's default for {', '.join(lacking)}, not one chosen on "
+                     "this data's validation split")
+    return lambda variant, side: known.get((variant, side), default_weight(side))

@@ -1,0 +1,1 @@
+"""A batch of grid-octrees as tensors: structure, leaves, neighbour tables, resampling."""

@@ -1,0 +1,1 @@
+"""Posed depth frames into a mesh."""

@@ -1,0 +1,186 @@
+"""A depth scan to a mesh in the scan's coordinates: by the network, by VolFus or by TV-L1.
+
+The network knows one cube. A region of the scan takes that cube's place: fusion measures everything in
+voxels and in truncations, so that a cube of any side, anywhere, gives what the scan would, were it moved and
+scaled into the cube of training, and the surface is in the scan's coordinates at once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store
+from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
+from ocnf_data.meshes.writing import WRITERS
+from ocnf_data.octree import GridOctree
+from ocnf_data.octree.surface import octree_surface
+from ocnf_data.views.scans import Scan, read_scan
+from ocnf_model.baselines import tvl1
+from ocnf_model.checkpoint import open_run
+from ocnf_model.devices import pick_device
+from ocnf_model.evaluation.methods import Method, default_weight, parse_methods, run_levels
+from ocnf_model.network import OctNetFusion, Output
+from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.scan.region import Region, largest_object, observed
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class FusedMesh:
+    """A surface in the scan's coordinates.
+
+    Attributes:
+        vertices: (N, 3) metres.
+        faces: (M, 3), looking outwards.
+        region: what was fused.
+        resolution: voxels along the cube.
+        seconds: fusion and reconstruction, without reading the scan and without marching cubes.
+        notes: what the reader left out.
+    """
+
+    vertices: F64
+    faces: I64
+    region: Region
+    resolution: int
+    seconds: float
+    notes: tuple[str, ...]
+
+
+def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = None, method: str = "ours",
+             resolution: int | None = None, device: str = "auto", weight: float | None = None,
+             every: int = 1, keep_unseen: bool = False, console: Console | None = None) -> FusedMesh:
+    """Fuse a scan, write the mesh, and say what was done.
+
+    Args:
+        run: a training run, or `pretrained`; read only where the method is `ours`.
+        scan: see `ocnf_data.views.scans`.
+        out: .ply, .obj, .off or .stl.
+        box: x0 y0 z0 x1 y1 z1 in metres, in the scan's coordinates. None: the cube that kept views were
+            made for, else the largest fused object (`largest_object`).
+        method: `ours`, `volfus` or `tvl1`.
+        resolution: voxels along the cube; None: the network's finest, 256 for the baselines.
+        device: of the network.
+        weight: of TV-L1; None: `DEFAULT_WEIGHTS`.
+        every: take every n-th frame only.
+        keep_unseen: keep the surfaces that close off what no camera has seen (see `observed`).
+        console: to print to.
+
+    Raises:
+        OcnfError: the scan, the box or the run cannot be used, or no surface is left (`empty`).
+    """
+    if out.suffix.lower() not in WRITERS:
+        raise OcnfError("cannot be written in this format", where=out, found=out.suffix,
+                        expected=", ".join(WRITERS))
+    chosen = parse_methods([method])[0]
+    region = None if box is None else Region.of_box(box)
+    fuser = _fuser(run, chosen, resolution, device, weight)
+    mesh = fuse_scan(read_scan(scan, every=every), fuser, region=region, keep_unseen=keep_unseen)
+    Store(out.parent).put_bytes(out.name, WRITERS[out.suffix.lower()](mesh.vertices, mesh.faces))
+    console = console or Console()
+    for note in mesh.notes:
+        console.print(f"Note: {note}", highlight=False, markup=False)
+    console.print(f"{out}: {len(mesh.faces):,} faces by {chosen.label} at {mesh.resolution}³ in "
+                  f"{mesh.seconds:.1f} s, {mesh.region}", highlight=False, markup=False, soft_wrap=True)
+    return mesh
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """VolFus, or TV-L1 where there is a weight."""
+
+    resolution: int = 256
+    weight: float | None = None
+
+    def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
+        """The region's cube: TSDF / tau, 1 channel."""
+        side, centre = region.side, region.centre
+        if self.weight is None:
+            return fuse_tsdf(pyramid, self.resolution, side, origin=centre)
+        return tvl1(fuse_histogram(pyramid, self.resolution, side, origin=centre), self.weight)
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """The network.
+
+    Attributes:
+        network: in evaluation mode, where it shall run.
+        resolutions: of its levels, coarse to fine; fewer than it has let it stop early.
+        truncation_voxels: as it was trained with.
+    """
+
+    network: OctNetFusion
+    resolutions: Sequence[int]
+    truncation_voxels: float = 32 / 15
+
+    @property
+    def resolution(self) -> int:
+        """Of the result."""
+        return self.resolutions[-1]
+
+    def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
+        """The region's cube: TSDF / tau, or 1 - 2 p of the probability p of being occupied; 1 channel."""
+        network, side = self.network, region.side
+        inputs = [OctreeBatch.from_grids([
+            fuse(pyramid, network.encoding, resolution, side, self.truncation_voxels * side / resolution,
+                 origin=region.centre)]) for resolution in self.resolutions]
+        *_, last = run_levels(network, inputs, next(network.parameters()).device)
+        field = last.reconstruction.features
+        signed = 1 - 2 * field if network.output is Output.OCCUPANCY else field.clamp(-1, 1)
+        return last.reconstruction.with_features(signed).to_grids()[0]
+
+
+Fuser = Baseline | Learned
+
+
+def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
+              keep_unseen: bool = False) -> FusedMesh:
+    """The mesh of a scan; arguments as for `run_fuse`."""
+    pyramid = DepthPyramid(scan.views)
+    if region is None:
+        region = largest_object(pyramid) if scan.cube is None else Region.of_cube(*scan.cube)
+    start = time.perf_counter()
+    octree = fuser(pyramid, region)
+    seconds = time.perf_counter() - start
+    vertices, faces = octree_surface(octree, region.side, origin=region.centre)
+    kept = region.holds(vertices)
+    if not keep_unseen:
+        kept[kept] = observed(vertices[kept], scan.views, default_truncation(fuser.resolution, region.side))
+    vertices, faces = _only(vertices, faces, kept)
+    if not len(faces):
+        raise OcnfError("no surface was found in the region", code="empty", field="box",
+                        found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
+    return FusedMesh(vertices, faces, region, fuser.resolution, seconds, scan.notes)
+
+
+def _only(vertices: F64, faces: I64, kept: npt.NDArray[np.bool_]) -> tuple[F64, I64]:
+    """The faces whose corners are all kept, and the vertices that they use."""
+    faces = faces[kept[faces].all(axis=1)]
+    used = np.unique(faces)
+    number = np.empty(len(vertices), np.int64)
+    number[used] = np.arange(len(used))
+    return vertices[used], number[faces]
+
+
+def _fuser(run: str, method: Method, resolution: int | None, device: str, weight: float | None) -> Fuser:
+    if method is Method.VOLFUS:
+        return Baseline(resolution or 256)
+    if method is Method.TVL1:
+        return Baseline(resolution or 256, weight or default_weight(resolution or 256))
+    trained = open_run(run)
+    sides = trained.resolutions
+    if resolution is not None and resolution not in sides:
+        raise OcnfError("the network has no level of this resolution", where=run, field="resolution",
+                        found=resolution, expected=" or ".join(map(str, sides)))
+    used = sides[: sides.index(resolution) + 1] if resolution else sides
+    return Learned(trained.network.to(pick_device(device)), used, trained.data.truncation_voxels)

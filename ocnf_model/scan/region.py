@@ -1,0 +1,153 @@
+"""Which part of a scan is fused, and which part of the result was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.fusion import DepthPyramid, fuse_tsdf
+from ocnf_data.views.cameras import Views
+
+F64 = npt.NDArray[np.float64]
+
+_PADDING = 0.05  # of the cube is free on both sides together, as around the meshes of training
+_SEARCH_RESOLUTION = 128
+_SEARCH_POINTS = 200_000
+_OUTLIERS = 0.2  # per cent of the points at either end of an axis that do not stretch the search
+_SEARCH_MARGIN = 0.1
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box of the scan, and the cube around it that is fused.
+
+    Attributes:
+        low, high: corners (x, y, z) of the box in metres: surfaces beyond are cut off.
+        side: of the cube in metres; its centre is the box's.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    side: float
+
+    @classmethod
+    def of_cube(cls, centre: tuple[float, float, float], side: float) -> Region:
+        """The region that is all of a cube."""
+        x, y, z = centre
+        half = side / 2
+        return cls((x - half, y - half, z - half), (x + half, y + half, z + half), side)
+
+    @classmethod
+    def of_box(cls, box: Sequence[float]) -> Region:
+        """The region x0 y0 z0 x1 y1 z1 in metres. Its longest side takes 95 % of the cube, as in training.
+
+        Raises:
+            OcnfError: not six finite numbers, or a corner that is not below the other.
+        """
+        if len(box) != 6 or not np.isfinite(box).all() or (np.subtract(box[3:], box[:3]) <= 0).any():
+            raise OcnfError("not a box", field="box", found=" ".join(map(str, box)),
+                            expected="x0 y0 z0 x1 y1 z1 in metres, x0 < x1, y0 < y1, z0 < z1")
+        x0, y0, z0, x1, y1, z1 = map(float, box)
+        return cls((x0, y0, z0), (x1, y1, z1), max(x1 - x0, y1 - y0, z1 - z0) / (1 - _PADDING))
+
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """Of box and cube."""
+        x, y, z = ((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
+        return x, y, z
+
+    def __str__(self) -> str:
+        """The box as `--box` takes it."""
+        return "box " + " ".join(f"{c:.4g}" for c in (*self.low, *self.high))
+
+    def holds(self, points: F64) -> npt.NDArray[np.bool_]:
+        """Which of the points (N, 3) lie in the box."""
+        return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
+
+
+def largest_object(views: Views | DepthPyramid) -> Region:
+    """The box around the largest connected surface.
+
+    All views are fused into a coarse TSDF (128 voxels) over the bounds of all measured points. A voxel
+    belongs to a surface where the TSDF is neither free nor unseen: within 2.13 voxels of what was measured.
+    Voxels that touch, if only at a corner, belong together, and the largest is the one of most voxels. What
+    an object stands on is part of it: an object on a table needs a box of its own.
+
+    Raises:
+        OcnfError: nothing was measured (`empty`).
+    """
+    from scipy.ndimage import find_objects, label
+
+    pyramid = views if isinstance(views, DepthPyramid) else DepthPyramid(views)
+    points = _measured_points(pyramid.views)
+    if not len(points):
+        raise OcnfError("nothing was measured in any frame", code="empty", where="the scan")
+    low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    side = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
+    x, y, z = ((low + high) / 2).tolist()
+    octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(side, 1e-6), origin=(x, y, z))
+    labels, n = label(np.abs(octree.to_dense()[0]) < 1, np.ones((3, 3, 3)))
+    if n == 0:
+        raise OcnfError("no surface was found in the scan", code="empty", where="the scan")
+    largest = int(np.bincount(labels.ravel())[1:].argmax())
+    zyx = np.array([(span.start, span.stop) for span in find_objects(labels)[largest]])
+    voxel = side / _SEARCH_RESOLUTION
+    corners = (zyx[::-1].T - _SEARCH_RESOLUTION / 2) * voxel + [x, y, z]
+    return Region.of_box([*corners[0], *corners[1]])
+
+
+def observed(points: F64, views: Views, band: float) -> npt.NDArray[np.bool_]:
+    """Which of the points (N, 3) some view has measured a surface at, to within `band` metres along its axis.
+
+    What no view sees counts as solid in all methods, so that every reconstruction is closed by walls along
+    the edges of what was seen; this tells them from surfaces. The measurement is that of the pixel which the
+    point projects to, or of one beside it: noise moves each pixel by itself, and rarely all nine.
+    """
+    seen = np.zeros(len(points), np.bool_)
+    _mark_observed(np.ascontiguousarray(points), views.depth, views.K, views.R, views.T, band, seen)
+    return seen
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _mark_observed(points: F64, depth: npt.NDArray[np.float32], K: F64, R: F64, T: F64, band: float,
+                   seen: npt.NDArray[np.bool_]) -> None:
+    n_views, height, width = depth.shape
+    for i in prange(len(points)):
+        p = points[i]
+        for view in range(n_views):
+            r, t, k = R[view], T[view], K[view]
+            z = r[2, 0] * p[0] + r[2, 1] * p[1] + r[2, 2] * p[2] + t[2]
+            if z <= 0:
+                continue
+            x = r[0, 0] * p[0] + r[0, 1] * p[1] + r[0, 2] * p[2] + t[0]
+            y = r[1, 0] * p[0] + r[1, 1] * p[1] + r[1, 2] * p[2] + t[1]
+            u, v = np.floor(k[0, 0] * x / z + k[0, 2] + 0.5), np.floor(k[1, 1] * y / z + k[1, 2] + 0.5)
+            if not (-1 <= u <= width and -1 <= v <= height):
+                continue
+            for row in range(max(int(v) - 1, 0), min(int(v) + 2, height)):
+                for column in range(max(int(u) - 1, 0), min(int(u) + 2, width)):
+                    measured = depth[view, row, column]
+                    if measured > 0 and abs(measured - z) <= band:
+                        seen[i] = True
+            if seen[i]:
+                break
+
+
+def _measured_points(views: Views) -> F64:
+    """World positions (N, 3) of some of the pixels that hit something, spread over all views."""
+    height, width = views.size
+    step = max(1, int(np.sqrt(views.depth.size / _SEARCH_POINTS)))
+    v, u = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
+    points = [np.empty((0, 3))]
+    for depth, K, R, T in zip(views.depth, views.K, views.R, views.T, strict=True):
+        z = depth[v, u].astype(np.float64)
+        hit = (z > 0) & np.isfinite(z)
+        z = z[hit]
+        camera = np.stack([(u[hit] - K[0, 2]) / K[0, 0] * z, (v[hit] - K[1, 2]) / K[1, 1] * z, z], axis=1)
+        points.append((camera - T) @ R)
+    return np.concatenate(points)

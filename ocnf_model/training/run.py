@@ -1,0 +1,166 @@
+"""Training a network stage by stage, resumable at any moment (SEMANTICS 5).
+
+    RUN/settings.json          all settings, resolved, and what they were resolved against
+    RUN/state.safetensors      where the run is (see `training.state`)
+    RUN/level-1.safetensors    best checkpoint of each level, by validation MAD (see `checkpoint`)
+    RUN/curves.csv             a line an epoch
+    RUN/tensorboard/           the curves by step
+
+>>> train("out", "run", TrainSettings(levels=2))           # doctest: +SKIP
+>>> load_run("run")                                        # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.lock import exclusive
+from ocnf_data.files.records import canonical_json
+from ocnf_data.files.storage import Store
+from ocnf_data.files.validation import validate
+from ocnf_data.shards import load_dataset
+from ocnf_model.checkpoint import Architecture, DataFacts, load_level
+from ocnf_model.devices import memory_errors
+from ocnf_model.network import OctNetFusion, Output
+from ocnf_model.training.batches import open_split
+from ocnf_model.training.report import Reporter, write_curves
+from ocnf_model.training.settings import TrainSettings, difference, read_settings
+from ocnf_model.training.stage import Job, Trainer
+from ocnf_model.training.state import Place, load_place, save_state
+from ocnf_model.training.world import World, join_world
+
+SETTINGS = "settings.json"
+_SCHEMA = 1
+
+
+def train(data: str | Path, out: str | Path, settings: TrainSettings | None = None, *, device: str = "auto",
+          console: Console | None = None) -> OctNetFusion:
+    """Train all levels, or go on where an earlier call with the same arguments stopped.
+
+    Under `torchrun` all processes train together, each with batches of `batch_size`.
+
+    Args:
+        data: a data set that `generate` made: a folder or an fsspec URL.
+        out: folder of the run; a new one, or one begun with these settings.
+        settings: None for the paper's.
+        device: `auto`, `cpu`, `cuda`, `cuda:1`.
+        console: for the progress; None for the terminal's error stream.
+
+    Returns:
+        The network with the best weights of every level, in evaluation mode, on the device.
+
+    Raises:
+        OcnfError: the data set lacks what is asked for, the folder belongs to another run, memory runs out,
+            a loss is not finite, ...
+    """
+    data, folder = str(data), Path(out)
+    console = console or Console(stderr=True, emoji=False)
+    asked = settings or TrainSettings()
+    with join_world(device) as world:
+        manifest = load_dataset(data).manifest
+        settings = asked.resolved(manifest, None, data)
+        for level in range(settings.levels):  # whatever is missing is said before hours of training
+            open_split(data, settings, level, manifest, train=False)
+        variant = open_split(data, settings, settings.levels - 1, manifest, train=True).variant
+        settings = asked.resolved(manifest, variant, data)
+        with exclusive(Store(folder)) if world.is_main else nullcontext():
+            if world.is_main:
+                _begin(folder, settings, _facts(data, settings, manifest))
+            world.wait()
+            return _run(data, folder, settings, manifest, world, console)
+
+
+def _run(data: str, folder: Path, settings: TrainSettings, manifest: dict[str, Any], world: World,
+         console: Console) -> OctNetFusion:
+    torch.manual_seed(settings.seed)
+    assert settings.output is not None and settings.resolutions is not None  # resolved
+    architecture = Architecture(encoding=settings.encoding, join=settings.join, carry=settings.carry,
+                                output=settings.output, channels=settings.channels, band=settings.band)
+    network = architecture.network(settings.levels, settings.checkpointing).to(world.device)
+    facts = _facts(data, settings, manifest)
+    place, tensors = load_place(folder)
+    if world.is_main and place.rows:
+        write_curves(folder, place.rows)  # a killed run may have left a line too few
+    for level in range(settings.levels):
+        if level >= place.level:
+            if level:
+                network.start_from_previous(level)
+            job = Job(folder, settings, network, open_split(data, settings, level, manifest, train=True),
+                      open_split(data, settings, level, manifest, train=False), facts, manifest["target"],
+                      world)
+            unit = " mm" if settings.output is Output.TSDF else ""
+            with memory_errors(f"level {level + 1}", _less_memory(settings, level)), \
+                    Reporter(folder, level + 1, settings.resolutions[level], place.steps, unit,
+                             world.is_main, console) as report:
+                Trainer(job, place, tensors, report).run()
+            place, tensors = Place(level=level + 1, rows=place.rows), {}
+            if world.is_main:
+                save_state(folder, place)
+            world.wait()
+        load_level(folder, network, level)
+    return network.eval()
+
+
+def _facts(data: str, settings: TrainSettings, manifest: dict[str, Any]) -> DataFacts:
+    training, validation = (open_split(data, settings, 0, manifest, train=train) for train in (True, False))
+    return DataFacts(
+        name=manifest["name"], checksum=training.state_dict()["datasets"][0], variant=settings.variant,
+        n_train=len(training.keys), n_val=len(validation.keys), extent=manifest["normalise"]["extent"],
+        truncation_voxels=manifest["truncation_voxels"])
+
+
+def _begin(folder: Path, settings: TrainSettings, facts: DataFacts) -> None:
+    """Write down what the run is; refuse a folder that holds something else."""
+    store = Store(folder)
+    if not store.exists(SETTINGS):
+        strangers = [name for name in store.list() if name != ".lock"]
+        if strangers:
+            raise OcnfError("the folder is not empty, and not a run", code="occupied", where=folder,
+                            found=strangers[0], fix="name a new folder: nothing is overwritten")
+        fields = {"schema": _SCHEMA, "settings": settings.to_dict(), "data": facts.model_dump(mode="json")}
+        store.put_bytes(SETTINGS, canonical_json(fields, indent=2))
+        return
+    before, began_with = read_run_settings(folder)
+    if found := difference(settings, before):
+        field, ours, theirs = found
+        raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
+                        found=ours, expected=theirs, fix="pass the same settings, or name a new folder")
+    if facts.checksum != began_with.checksum:
+        raise OcnfError("the run was begun on another data set", code="misfit", where=folder, field="data",
+                        found=f"{facts.name} {facts.checksum[:12]}",
+                        expected=f"{began_with.name} {began_with.checksum[:12]}",
+                        fix="pass the same data set, or name a new folder")
+
+
+def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
+    """What a run's folder says it is.
+
+    Raises:
+        OcnfError: it is missing, damaged or of another schema.
+    """
+    where = Store(folder).where(SETTINGS)
+    try:
+        fields = json.loads(Store(folder).read_bytes(SETTINGS))
+    except (ValueError, RecursionError) as error:
+        raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
+    if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
+        raise OcnfError("not the settings of a run of this version", code="schema", where=where)
+    return read_settings(fields.get("settings"), where), validate(DataFacts, fields.get("data"), where)
+
+
+def _less_memory(settings: TrainSettings, level: int) -> str:
+    """What to lower when memory runs out."""
+    stage = settings.stage(level)
+    ways = [f"a smaller batch_size (now {stage.batch_size}) with more accumulate "
+            f"(now {stage.accumulate})"] if stage.batch_size > 1 else []
+    ways += [] if settings.checkpointing else ["--checkpointing"]
+    ways += [] if settings.precision == "bfloat16" else ["--precision bfloat16"]
+    ways += [f"smaller channels (now {settings.channels}) or fewer levels"]
+    return f"try {', or '.join(ways)}"

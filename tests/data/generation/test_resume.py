@@ -1,0 +1,277 @@
+"""Promises 1 to 3: whole shards only, resumed runs equal uninterrupted ones, changes are refused."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json
+from ocnf_data.generation import fingerprint, generate
+from ocnf_data.shards.index import index_from_tar
+
+DRIVER = Path(__file__).with_name("driver.py")
+
+
+def start(manifest: Path, out: Path, root: Path, jobs: int) -> subprocess.Popen[str]:
+    """A run in a process group of its own."""
+    command = [sys.executable, str(DRIVER), str(manifest), str(out), str(root), str(jobs)]
+    return subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, text=True)
+
+
+def finish(run: subprocess.Popen[str]) -> str:
+    output, _ = run.communicate(timeout=120)
+    return output
+
+
+def running(group: int) -> list[str]:
+    """The processes of a process group that have not ended (Linux)."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it ended while we looked
+            state, _, its_group = path.read_text().rpartition(") ")[2].split()[:3]
+            if int(its_group) == group and state != "Z":
+                found.append(path.parent.name)
+    return found
+
+
+@pytest.fixture
+def job(meshes, define, tmp_path: Path) -> tuple[Path, Path]:
+    """24 slow items in 6 shards, one of them refused, one crashing: (manifest, meshes)."""
+    root = meshes([*(f"slow_{i:02}" for i in range(22)), "refuse_1", "segfault_1"])
+    path = tmp_path / "tiny.yaml"
+    path.write_text(json.dumps(define().to_dict()))  # JSON is YAML
+    return path, root
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_killed_at_random_moments_and_resumed(job, tmp_path, contents, fake, jobs) -> None:
+    manifest, root = job
+    uninterrupted = tmp_path / "uninterrupted"
+    generate(manifest, uninterrupted, root, progress=False)
+    out = tmp_path / "killed"
+    chance = random.Random(jobs)
+    # Not by the clock alone, which a busy machine stretches: each kill comes at a random moment after so many
+    # shards, and then the run is left to finish.
+    for n_shards in (0, 1, 2):
+        run = start(manifest, out, root, jobs)
+        while len(list(out.glob("train/shard-*.json"))) < n_shards:
+            time.sleep(0.01)
+        time.sleep(chance.uniform(0, 0.15) + 0.5 * (n_shards == 0))  # of which starting takes about half
+        os.killpg(run.pid, signal.SIGKILL)
+        finish(run)
+        assert run.returncode == -signal.SIGKILL
+        for tar in out.glob("train/shard-*.tar"):
+            with tar.open("rb") as file:
+                index = index_from_tar(file, "train", tar.name, tar)
+            side = tar.with_suffix(".json")
+            assert not side.exists() or side.read_bytes() == index.to_json()
+    assert not (out / "dataset.json").exists()
+    run = start(manifest, out, root, jobs)
+    finish(run)
+    assert run.returncode == 0
+    files = contents(out)
+    assert files == contents(uninterrupted)
+    assert len([name for name in files if name.endswith(".tar")]) == 6
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_leaves_a_resumable_state_and_says_so(job, tmp_path, contents, fake, jobs) -> None:
+    manifest, root = job
+    out = tmp_path / "stopped"
+    run = start(manifest, out, root, jobs)
+    while not list(out.glob("train/shard-*.json")):
+        time.sleep(0.02)
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to everyone in the foreground
+    assert "the same command resumes" in finish(run)
+    assert run.returncode == 130
+    assert not (out / "dataset.json").exists()
+    report = generate(manifest, out, root, progress=False)
+    assert 0 < report.made < 24
+    generate(manifest, tmp_path / "uninterrupted", root, progress=False)
+    assert contents(out) == contents(tmp_path / "uninterrupted")
+
+
+def test_workers_end_with_their_driver(job, tmp_path, fake) -> None:
+    """Only the driver is killed: a worker that went on could write into the folder of a later run."""
+    manifest, root = job
+    run = start(manifest, tmp_path / "killed", root, 2)
+    while not list((tmp_path / "killed").glob("train/shard-*.json")):
+        time.sleep(0.02)
+    assert len(running(run.pid)) > 2
+    run.kill()
+    finish(run)
+    deadline = time.monotonic() + 20
+    while running(run.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert running(run.pid) == []
+
+
+def test_more_jobs_than_shards(job, tmp_path, fake) -> None:
+    manifest, root = job
+    assert generate(manifest, tmp_path / "out", root, 10_000_000, progress=False).samples == 22
+
+
+@pytest.mark.parametrize(("jobs", "backend"), [(1, "loky"), (2, "loky"), (2, "dask")])
+def test_trouble_in_mid_shard_leaves_no_partial_shard(
+        meshes, define, tmp_path, contents, fake, jobs, backend) -> None:
+    """The disk is full for one item, while others are being made and more are waiting."""
+    root = meshes([*(f"slow_{i}" for i in range(23)), "full-unfixed_1"])
+    out = tmp_path / "out"
+    with pytest.raises(OcnfError, match="disk is full") as caught:
+        generate(define(), out, root, jobs, backend, progress=False)
+    assert caught.value.code == "disk_full"
+    assert not [path for path in out.rglob("*") if path.name.startswith((".tmp", ".lock", ".progress"))]
+    assert len(list(out.glob("train/*.tar"))) == len(list(out.glob("train/shard-*.json"))) < 6
+    assert not (out / "dataset.json").exists()
+    (root / ".fixed").touch()
+    generate(define(), out, root, progress=False)
+    generate(define(), tmp_path / "uninterrupted", root, progress=False)
+    assert contents(out) == contents(tmp_path / "uninterrupted")
+
+
+def test_a_finished_data_set_is_left_as_it_is(meshes, define, tmp_path, contents, fake) -> None:
+    root, out = meshes(["ok_1", "ok_2"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    report = generate(define(), out, root, progress=False)
+    assert (report.made, report.samples) == (0, 2)
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("what", ["tar", "json"])
+def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents, fake, what) -> None:
+    root, out = meshes([f"ok_{i}" for i in range(8)]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    victim = out / f"train/shard-000001.{what}"
+    victim.write_bytes(victim.read_bytes()[:-512])
+    assert generate(define(), out, root, progress=False).made == 4
+    assert contents(out) == before
+
+
+def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, fake) -> None:
+    """`dataset.json` vouches for bytes; a mended data set must have those, or be left without them."""
+    root, out = meshes(["ok_1", "segfault-unfixed_1"]), tmp_path / "out"
+    generate(define(limits={"failure_threshold": 1.0}), out, root, progress=False)
+    (root / ".fixed").touch()
+    (out / "train/shard-000000.json").unlink()
+    with pytest.raises(OcnfError, match="not the one that dataset"):
+        generate(define(), out, root, progress=False)
+
+
+@pytest.mark.parametrize(("changes", "field", "values"), [
+    ({"seed": 1}, "seed", ("1", "0")),
+    ({"inputs": [{"name": "v2", "views": 2, "sigma": 0.03, "encodings": ["tsdf"]}]}, "inputs[0].sigma",
+     ("0.03", "0.02")),
+    ({"resolutions": [64, 128]}, "resolutions[1]", ("128", "absent")),
+    ({"shards": {"samples": 5}}, "shards.samples", ("5", "4")),
+])
+def test_a_changed_manifest_is_refused(meshes, define, tmp_path, fake, changes, field, values) -> None:
+    root, out = meshes(["ok_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    with pytest.raises(OcnfError) as caught:
+        generate(define(**changes), out, root, progress=False)
+    assert (caught.value.code, caught.value.field) == ("changed", field)
+    assert values[0] in caught.value.found
+    assert values[1] in caught.value.expected
+
+
+def test_when_to_give_up_may_change(meshes, define, tmp_path, fake) -> None:
+    root, out = meshes(["ok_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    assert generate(define(limits={"timeout_s": 5.0}), out, root, progress=False).made == 0
+
+
+def test_a_changed_mesh_is_refused(meshes, define, tmp_path, fake) -> None:
+    root, out = meshes(["ok_1", "ok_2"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    victim = root / "chair/train/ok_2.off"
+    text = victim.read_text()
+    victim.write_text(text + "\n")
+    with pytest.raises(OcnfError, match="a mesh of train has changed") as caught:
+        generate(define(), out, root, progress=False)
+    assert caught.value.field == "chair/train/ok_2.off"
+    victim.unlink()
+    with pytest.raises(OcnfError, match="a mesh of train is gone"):
+        generate(define(), out, root, progress=False)
+    victim.write_text(text)
+    (root / "chair/train/ok_3.off").write_text(text)
+    with pytest.raises(OcnfError, match="a mesh of train is new"):
+        generate(define(), out, root, progress=False)
+
+
+def test_another_schema_library_or_cpu(meshes, define, tmp_path, fake, monkeypatch) -> None:
+    root, out = meshes(["ok_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    plan = json.loads((out / "plan.json").read_bytes())
+
+    def refusal(**changes: object) -> OcnfError:
+        (out / "plan.json").write_bytes(canonical_json({**plan, **changes}, indent=1))
+        with pytest.raises(OcnfError) as caught:
+            generate(define(), out, root, progress=False)
+        assert caught.value.code == "changed"
+        return caught.value
+
+    assert refusal(schema=0).field == "schema"
+    libraries = {**plan["fingerprint"]["libraries"], "numpy": "1.0"}
+    error = refusal(fingerprint={**plan["fingerprint"], "libraries": libraries})
+    assert (error.field, error.expected) == ("libraries.numpy", "1.0")
+    (out / "plan.json").write_bytes(canonical_json(plan, indent=1))
+    monkeypatch.setattr(fingerprint, "cpu_type", lambda: "abacus")
+    report = generate(define(), out, root, progress=False)
+    assert "abacus" in report.warnings[0]
+
+
+@pytest.mark.parametrize("blob", [b"", b"[1]", b'{"schema": 1}', b'{"schema": 1, "shards": {"x": []}}'])
+def test_a_plan_that_is_none(meshes, define, tmp_path, fake, blob) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "plan.json").write_bytes(blob)
+    with pytest.raises(OcnfError, match=r"plan\.json"):
+        generate(define(), out, meshes(["ok_1"]), progress=False)
+    assert (out / "plan.json").read_bytes() == blob
+
+
+def test_shards_without_a_plan_are_not_touched(meshes, define, tmp_path, fake) -> None:
+    root, out = meshes(["ok_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    (out / "plan.json").unlink()
+    with pytest.raises(OcnfError, match=r"no plan\.json"):
+        generate(define(), out, root, progress=False)
+
+
+def test_two_runs_at_once_are_refused(job, tmp_path, fake) -> None:
+    manifest, root = job
+    out = tmp_path / "out"
+    run = start(manifest, out, root, 1)
+    while not (out / "plan.json").exists():
+        time.sleep(0.02)
+    with pytest.raises(OcnfError, match="another run is writing here"):
+        generate(manifest, out, root, progress=False)
+    os.killpg(run.pid, signal.SIGKILL)
+    finish(run)
+
+
+def test_a_lock_whose_file_is_gone_keeps_nobody_out(meshes, define, tmp_path, fake, monkeypatch) -> None:
+    """Another run ends, and removes the file, between our opening it and locking it."""
+    out = tmp_path / "out"
+    lock = fcntl.flock
+
+    def late(file, how) -> None:
+        (out / ".lock").unlink()
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(OcnfError, match="another run"):
+        generate(define(), out, meshes(["ok_1"]), progress=False)

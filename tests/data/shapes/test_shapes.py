@@ -1,0 +1,168 @@
+"""Procedural shapes: always the same, always valid, never two alike, and as messy as they are meant to be."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.meshes import normalise
+from ocnf_data.meshes.topology import is_watertight
+from ocnf_data.render import render_depth
+from ocnf_data.shapes import CATEGORIES, make_shape
+from ocnf_data.shapes.draw import Draw
+from ocnf_data.shapes.primitives import (
+    Part,
+    bevel_box,
+    box,
+    cushion,
+    ellipse,
+    frustum,
+    loft,
+    revolve,
+    stack,
+    tube,
+)
+from ocnf_data.views import rigs
+
+COUNT = 25
+GOLDEN = {
+    "airplane": "bd1843b0a332", "bed": "de217a035a7b", "bottle": "48d11c72d06d",
+    "car": "333c7c33b1c4", "chair": "a43a844a5c03", "desk": "c9415305f71e",
+    "guitar": "fa882a6a7334", "lamp": "d4998ea97eaa", "monitor": "a5cbb64365ef",
+    "mug": "47b5e40b98a9", "plant": "6edbcc44ab5a", "shelf": "e6a4dd76e77d",
+    "sofa": "cf5000559ab4", "table": "40440a46d14d",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    return {(c, i): make_shape(c, 0, i, "train") for c in CATEGORIES for i in range(COUNT)}
+
+
+def test_at_least_ten_categories():
+    assert len(CATEGORIES) >= 10
+    assert {"chair", "table", "desk", "lamp", "bed", "shelf", "monitor", "airplane", "mug"} <= set(CATEGORIES)
+
+
+def test_every_shape_is_valid(shapes):
+    for key, mesh in shapes.items():
+        assert np.isfinite(mesh.vertices).all(), key
+        assert 100 <= len(mesh.faces) <= 20_000, key
+        np.testing.assert_array_equal(np.unique(mesh.faces), np.arange(len(mesh.vertices)), err_msg=str(key))
+        size = np.ptp(mesh.vertices, axis=0)
+        assert size.max() < 8 * size[size.argsort()[1]], key  # neither a needle
+        assert 0.02 < size.max() < 100, key  # nor a mountain: metres
+        assert mesh.stats["degenerate_faces"] < 0.05 * len(mesh.faces), key
+        assert np.abs(mesh.vertices - np.round(mesh.vertices, 6)).max() < 1e-12, key
+
+
+def test_no_two_are_alike(shapes):
+    assert len({mesh.sha256 for mesh in shapes.values()}) == len(shapes)
+    for category in CATEGORIES:  # the topology varies, not just the measures
+        faces = {len(shapes[category, i].faces) for i in range(COUNT)}
+        assert len(faces) > COUNT // 4, category
+
+
+def test_each_part_of_the_key_counts():
+    one = make_shape("chair", 0, 3, "train")
+    assert one.sha256 == make_shape("chair", 0, 3, "train").sha256
+    for other in (("chair", 1, 3, "train"), ("chair", 0, 4, "train"), ("chair", 0, 3, "test")):
+        assert make_shape(*other).sha256 != one.sha256
+
+
+def test_another_process_makes_the_same():
+    """Neither the hash seed, nor what was made before, nor the thread count matters."""
+    code = ("import json; from ocnf_data.shapes import *; "
+            "print(json.dumps([make_shape(c, 5, 2, 'test').sha256 for c in reversed(CATEGORIES)]))")
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True,
+                         env={"PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"})
+    assert json.loads(out.stdout) == [make_shape(c, 5, 2, "test").sha256 for c in reversed(CATEGORIES)]
+
+
+def test_golden_shapes():
+    """Guards against a change of numpy's Philox and against changes of the shapes that nobody meant."""
+    found = {c: make_shape(c, 0, 0, "train").sha256[:12] for c in CATEGORIES}
+    assert found == GOLDEN
+
+
+def test_winding_is_inconsistent_in_most_and_consistent_in_some(shapes):
+    """Where an edge has two faces, both running the same way along it means that one is wound wrongly."""
+    bad = []
+    for mesh in shapes.values():
+        a, b = mesh.faces.ravel(), np.roll(mesh.faces, -1, axis=1).ravel()
+        directed = a * len(mesh.vertices) + b
+        bad.append(1 - len(np.unique(directed)) / len(directed))
+    assert 0.7 < np.mean(np.array(bad) > 0.005) < 0.95
+    assert max(bad) < 0.5
+
+
+def test_open_and_closed_and_in_many_pieces(shapes):
+    assert 0.1 < np.mean([m.stats["watertight"] for m in shapes.values()]) < 0.9
+    assert np.median([m.stats["components"] for m in shapes.values()]) > 5
+
+
+def test_hidden_insides(shapes):
+    """In a good share of the shapes some component can be taken away without any camera noticing."""
+    R, T = rigs.look_from(rigs.icosphere(1), 3.0)
+    K = rigs.intrinsics(70, 70, 47.5, 47.5)
+    hidden = []
+    for category in CATEGORIES:
+        mesh = shapes[category, 1]
+        points, _ = normalise(mesh)
+        depth = render_depth(points, mesh.faces, K, R, T, size=(96, 96))
+        _, label = connected_components(coo_matrix((np.ones(3 * len(mesh.faces)), (
+            mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())), shape=[len(points)] * 2))
+        of_face = label[mesh.faces[:, 0]]
+        rest = (of_face != k for k in np.unique(of_face)[::-1][:15])
+        hidden.append(any(np.array_equal(depth, render_depth(points, mesh.faces[r], K, R, T, size=(96, 96)))
+                          for r in rest if r.any()))
+    assert np.mean(hidden) > 0.4
+
+
+def _volume(part: Part) -> float:
+    a, b, c = (part.vertices[part.faces[:, i]] for i in range(3))
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+@pytest.mark.parametrize(("part", "volume"), [
+    (box(1, 2, 3), 6),
+    (frustum(1, 1, 2, 200), 2 * np.pi),
+    (frustum(1, 0.5, 3, 200), np.pi * (1 + 0.5 + 0.25)),
+    (cushion(2, 2, 2, 2, 120), 4 / 3 * np.pi),
+    (tube([(0, 0, 0), (0, 0, 5)], 0.5, 200), 5 * np.pi / 4),
+    (revolve([(0, 0), (1, 0), (1, 1), (0, 1)], 200), np.pi),
+    (bevel_box(1, 1, 1, 1e-6), 1),
+    (box(1, 2, 3).scale(x=-1, z=2), 12),
+    (box(1, 2, 3).turn("x", 77).turn("z", 12).move(5, 6, 7), 6),
+    (tube([(np.cos(t), np.sin(t), 0) for t in np.arange(200) * 2 * np.pi / 200], 0.1, 60, loop=True),
+     2 * np.pi**2 * 0.01),
+])
+def test_primitives_enclose_their_volume(part, volume):
+    """Closed and wound outwards: the signed volume is that of the solid."""
+    assert is_watertight(part.faces)
+    assert _volume(part) == pytest.approx(volume, rel=3e-3)
+
+
+def test_open_lofts_are_open():
+    assert not is_watertight(loft(stack([ellipse(1, 1), ellipse(1, 1)], [0, 1])).faces)
+
+
+def test_draw_covers_its_range():
+    draw = Draw("a", 1)
+    counts = [draw.count(2, 4) for _ in range(300)]
+    assert set(counts) == {2, 3, 4}
+    values = [draw.between(-1, 2) for _ in range(1000)]
+    assert min(values) >= -1
+    assert max(values) < 2
+    assert np.mean(values) == pytest.approx(0.5, abs=0.15)
+    assert Draw("ab", "c").between(0, 1) != Draw("a", "bc").between(0, 1)
+
+
+def test_unknown_category():
+    with pytest.raises(OcnfError, match=r"unicorn.*airplane"):
+        make_shape("unicorn", 0, 0, "train")

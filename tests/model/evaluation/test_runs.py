@@ -1,0 +1,59 @@
+"""Evaluation and fusing from a run's folder: its resolutions, its truncation, its weights for TV-L1."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from ocnf_data.errors import OcnfError
+from ocnf_model import OctNetFusion
+from ocnf_model.checkpoint import Architecture, DataFacts, Header, save_checkpoint
+from ocnf_model.evaluation.run import run_evaluate
+from ocnf_model.scan.fuse import run_fuse
+
+
+def make_run(folder: Path, truncation_voxels: float = 32 / 15) -> Path:
+    """One level at 32^3 that finds free space everywhere: what is checked is the way to it."""
+    network = OctNetFusion(levels=1, channels=(2, 2, 2))
+    for parameter in network.parameters():
+        parameter.data.zero_()
+    network.levels[0].head.bias.data.fill_(0.5)
+    architecture = Architecture(encoding="histogram", join="concat", carry="features", output="tsdf",
+                                channels=(2, 2, 2), band=1.0)
+    data = DataFacts(name="tiny", checksum="0" * 64, variant="v4", n_train=1, n_val=1, extent=3.0,
+                     truncation_voxels=truncation_voxels)
+    header = Header(level=1, resolution=32, architecture=architecture, data=data, epoch=1, steps=1,
+                    metrics={"mad_mm": 1.0}, settings={}, built_on=None, torch="2")
+    save_checkpoint(folder, header, network.levels[0].state_dict())
+    return folder
+
+
+def test_a_run_is_evaluated_at_its_own_resolutions(tiny: str, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    choices = [{"variant": variant, "resolution": side, "weight": 1.0}
+               for variant in ("v4", "v2") for side in (32, 64)]
+    (run / "tvl1.json").write_text(json.dumps({"schema": 1, "choices": choices}))
+    found = run_evaluate(str(run), tiny, limit=1, n_figures=0, device="cpu", console=Console(quiet=True))
+    assert {(row.method, row.resolution) for row in found.rows if row.variant == "v4"} == {
+        ("VolFus", 32), ("VolFus", 64), ("TV-L1", 32), ("TV-L1", 64), ("Ours", 32)}
+    assert not any("TV-L1" in note for note in found.notes)
+    assert (run / "evaluation" / "test" / "models.csv").exists()
+    assert all(row.recall == 0 for row in found.rows if row.method == "Ours")  # it says free everywhere
+
+
+def test_a_run_of_another_truncation_is_refused(tiny: str, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", truncation_voxels=5.0)
+    with pytest.raises(OcnfError, match="truncation_voxels"):
+        run_evaluate(str(run), tiny)
+
+
+def test_fusing_with_a_run(scan: Path, tmp_path: Path) -> None:
+    run, out = make_run(tmp_path / "run"), tmp_path / "mesh.ply"
+    with pytest.raises(OcnfError, match="no level of this resolution"):
+        run_fuse(str(run), str(scan), out=out, resolution=64, device="cpu")
+    with pytest.raises(OcnfError, match="no surface was found"):
+        run_fuse(str(run), str(scan), out=out, device="cpu")
+    assert not out.exists()

@@ -1,0 +1,162 @@
+"""Checkpoints: what is written is what is read, and everything else is refused."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+import safetensors
+import safetensors.torch
+import torch
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import (
+    Architecture,
+    DataFacts,
+    Header,
+    checkpoint_sha256,
+    load_level,
+    load_run,
+    open_run,
+    save_checkpoint,
+)
+from ocnf_model.network import OctNetFusion
+from ocnf_model.training.tensorfile import read_tensors
+
+ARCHITECTURE = Architecture(encoding="tsdf", join="concat", carry="features", output="tsdf",
+                            channels=(2, 3, 4), band=1.0)
+DATA = DataFacts(name="d", checksum="0" * 64, variant="v2", n_train=3, n_val=2, extent=3.0,
+                 truncation_voxels=2.0)
+
+
+def write_run(folder: Path, seed: int = 0, **architecture) -> OctNetFusion:
+    """Two untrained levels, as a run leaves them."""
+    torch.manual_seed(seed)
+    chosen = ARCHITECTURE.model_copy(update=architecture)
+    network = chosen.network(2)
+    folder.mkdir(exist_ok=True)
+    for level in (1, 2):
+        header = Header(level=level, resolution=16 << level, architecture=chosen, data=DATA, epoch=1, steps=4,
+                        metrics={"mad_mm": 1.5}, settings={}, torch="2",
+                        built_on=checkpoint_sha256(folder, 1) if level == 2 else None)
+        save_checkpoint(folder, header, network.levels[level - 1].state_dict())
+    return network
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_run(tmp_path / "run")
+    return tmp_path / "run"
+
+
+def rewrite(path: Path, change) -> None:
+    """Read a checkpoint, let `change(weights, header)` alter both, and write it, with safetensors alone."""
+    weights = safetensors.torch.load(path.read_bytes())
+    with safetensors.safe_open(path, "pt") as file:
+        header = json.loads(file.metadata()["ocnf"])
+    change(weights, header)
+    path.write_bytes(safetensors.torch.save(weights, {"ocnf": json.dumps(header)}))
+
+
+def test_what_is_written_is_what_is_read(tmp_path) -> None:
+    network = write_run(tmp_path / "run")
+    run = open_run(tmp_path / "run")
+    loaded = run.network.state_dict()
+    assert all(torch.equal(tensor, loaded[name]) for name, tensor in network.state_dict().items())
+    assert not run.network.training and run.headers[1].architecture == ARCHITECTURE
+    assert run.resolutions == [32, 64] and run.data.tau(64) == pytest.approx(2 * 3 / 64)
+    assert json.loads((tmp_path / "run/level-2.json").read_text()) == run.headers[1].to_dict()
+    assert len(load_run(tmp_path / "run", levels=1).levels) == 1
+    write_run(tmp_path / "again")
+    assert (tmp_path / "again/level-2.safetensors").read_bytes() \
+        == (tmp_path / "run/level-2.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda w, h: h.update(schema=2), "another schema version; found 2, expected 1"),
+    (lambda w, h: h.pop("schema"), "another schema version"),
+    (lambda w, h: h.update(level=2), "level: the checkpoint does not fit the network; found 2, expected 1"),
+    (lambda w, h: h.update(extra=1), "extra: unknown field"),
+    (lambda w, h: h["architecture"].update(join="add"), "shape|does not fit"),
+    (lambda w, h: h["architecture"].update(channels=[2, 3]), "architecture.channels"),
+    (lambda w, h: h["data"].pop("extent"), "data.extent: the field is missing"),
+    (lambda w, h: w.pop("head.bias"), "head.bias: the checkpoint does not fit the network; found nothing"),
+    (lambda w, h: w.update(extra=torch.zeros(1)), "extra: the checkpoint does not fit.*found there"),
+    (lambda w, h: w.update({"head.bias": torch.zeros(2)}), r"head.bias: .*float32 \(2,\).*float32 \(1,\)"),
+    (lambda w, h: w.update({"head.bias": w["head.bias"].half()}), "head.bias: .*found torch.float16"),
+    (lambda w, h: w["head.bias"].fill_(float("nan")), "head.bias: weights that are not finite"),
+])
+def test_a_checkpoint_that_is_wrong_is_refused(change, message, folder) -> None:
+    rewrite(folder / "level-1.safetensors", change)
+    with pytest.raises(OcnfError, match=f"level-1.safetensors.*({message})"):
+        open_run(folder)
+
+
+@pytest.mark.parametrize("field", ["encoding", "join", "carry", "output", "channels", "band"])
+def test_a_network_of_another_kind_is_refused(field, folder) -> None:
+    other = {"encoding": "tdf_occupancy", "join": "add", "carry": "reconstruction", "output": "occupancy",
+             "channels": (2, 3, 5), "band": 3.0}[field]
+    network = OctNetFusion(**{**ARCHITECTURE.model_dump(), "levels": 2, field: other})
+    with pytest.raises(OcnfError, match=f"{field}: the checkpoint does not fit the network"):
+        load_level(folder, network, 1)
+
+
+def test_levels_of_different_runs_are_not_mixed(folder, tmp_path) -> None:
+    write_run(tmp_path / "other", seed=1)
+    (folder / "level-1.safetensors").write_bytes((tmp_path / "other/level-1.safetensors").read_bytes())
+    with pytest.raises(OcnfError, match="built_on: the level was trained on other weights"):
+        open_run(folder)
+    assert len(open_run(folder, levels=1).headers) == 1
+
+
+def test_levels_that_are_missing(folder, tmp_path) -> None:
+    with pytest.raises(OcnfError, match="levels: too few levels are trained; found 2, expected at least 3"):
+        load_run(folder, levels=3)
+    (folder / "level-1.safetensors").unlink()
+    with pytest.raises(OcnfError, match="too few levels"):
+        load_run(folder)
+    with pytest.raises(OcnfError, match="no such run"):
+        load_run(tmp_path / "nothing")
+
+
+def test_every_truncation_is_found(folder) -> None:
+    path = folder / "level-1.safetensors"
+    whole = path.read_bytes()
+    for size in (*range(0, len(whole), 997), len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(OcnfError, match=r"level-1\.safetensors"):
+            read_tensors(path)
+
+
+def test_a_planted_pickle_is_not_run(folder, tmp_path) -> None:
+    class Payload:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "executed",))
+
+    for blob in (pickle.dumps(Payload()), b""):
+        (folder / "level-1.safetensors").write_bytes(blob)
+        with pytest.raises(OcnfError, match="not a whole safetensors file"):
+            load_run(folder)
+    torch.save(Payload(), folder / "level-1.safetensors")
+    with pytest.raises(OcnfError, match="not a whole safetensors file"):
+        load_run(folder)
+    assert not (tmp_path / "executed").exists()
+
+
+def test_data_that_means_something_else_is_refused(folder) -> None:
+    run = open_run(folder)
+    run.check_fits("scan", encoding="tsdf", truncation_voxels=2.0001, resolutions=[32, 64])
+    with pytest.raises(OcnfError, match="scan: encoding: the network was trained on something else"):
+        run.check_fits("scan", encoding="histogram")
+    with pytest.raises(OcnfError, match=r"truncation_voxels: .*found 3.0, expected 2.0"):
+        run.check_fits("scan", truncation_voxels=3.0)
+
+
+def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, tmp_path) -> None:
+    monkeypatch.setattr("ocnf_model.checkpoint._PRETRAINED_FOLDER", folder)
+    assert len(load_run("pretrained").levels) == 2
+    monkeypatch.setattr("ocnf_model.checkpoint._PRETRAINED_FOLDER", tmp_path)
+    with pytest.raises(OcnfError, match=r"without pretrained weights.*ocnf-model train"):
+        load_run("pretrained")

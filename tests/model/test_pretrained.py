@@ -1,0 +1,62 @@
+"""The checkpoints that come with the package: whole, described, and better than both baselines."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ocnf_data import generate
+from ocnf_data.manifest import Manifest
+from ocnf_model.checkpoint import open_run
+from ocnf_model.cli import app
+from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS
+from ocnf_model.evaluation.report import ALL
+from ocnf_model.evaluation.run import run_evaluate
+from ocnf_model.evaluation.weights import read_weights
+
+FOLDER = Path(str(files("ocnf_model"))) / "pretrained"
+
+
+def test_all_levels_are_there_and_go_together() -> None:
+    run = open_run("pretrained")
+    assert run.resolutions == [64, 128, 256] and run.network.encoding == "histogram"
+    assert {header.data.checksum for header in run.headers} == {run.data.checksum}
+    assert run.data.n_train >= 200 and run.data.variant == "v4_n02"
+    assert sum(path.stat().st_size for path in FOLDER.glob("*.safetensors")) < 9e6
+
+
+def test_the_card_gives_the_validation_errors_of_the_files() -> None:
+    card = (FOLDER / "README.md").read_text()
+    for header in open_run("pretrained").headers:
+        mad_mm = header.metrics["mad_mm"]
+        assert f"| {header.resolution}³ | {header.epoch} | {header.steps:,} | {mad_mm:.3f} |" in card
+
+
+def test_info_shows_it() -> None:
+    result = CliRunner().invoke(app, ["info", "pretrained"], env={"COLUMNS": "120"})
+    assert result.exit_code == 0 and "1,832,163" in result.output
+
+
+def test_the_weights_of_tvl1_were_chosen_for_its_data() -> None:
+    chosen = read_weights(FOLDER / "tvl1.json")
+    assert set(chosen) == {("v4_n02", side) for side in (64, 128, 256)}
+    assert {side: weight for (_, side), weight in chosen.items()} == DEFAULT_WEIGHTS
+
+
+@pytest.mark.slow
+def test_better_than_both_baselines_on_shapes_it_never_saw(tmp_path: Path) -> None:
+    data = tmp_path / "set"
+    generate(Manifest.from_dict({
+        "schema": 1, "name": "unseen", "seed": 77, "resolutions": [64, 128],
+        "source": {"kind": "shapes", "categories": ["chair", "guitar", "table"], "counts": {"test": 3}},
+        "inputs": [{"name": "v4_n02", "views": 4, "sigma": 0.02, "encodings": ["histogram", "tsdf"]}],
+    }), data, jobs=1, progress=False)
+    found = run_evaluate("pretrained", str(data), n_figures=0)
+    mads = {(one.resolution, one.method): one.mad_mm for one in found.summaries if one.category == ALL}
+    assert not any("default" in note for note in found.notes)  # TV-L1 took the file's weights
+    for side in (64, 128):
+        assert mads[side, "Ours"] < 0.8 * mads[side, "VolFus"]
+        assert mads[side, "Ours"] < mads[side, "TV-L1"]
