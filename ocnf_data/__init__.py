@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from ocnf_data.version import __version__
 
 _HOME = {
     "GridOctree": "octree",
@@ -31,6 +31,7 @@ __all__ = [
     "Report",
     "ShardDataset",
     "Views",
+    "__version__",
     "fuse_histogram",
     "fuse_occupancy",
     "fuse_tdf_occupancy",

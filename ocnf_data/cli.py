@@ -49,7 +49,7 @@ Jobs = Annotated[int, typer.Option(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from ocnf_data import __version__
+        from ocnf_data.version import __version__
 
         _out.print(f"ocnf {__version__}", highlight=False)
         raise typer.Exit

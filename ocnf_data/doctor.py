@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.render import render_depth
 from ocnf_data.render.gl import LIBRARIES, MISSING, OSMESA
@@ -240,8 +240,8 @@ def probe(backend: str) -> dict[str, Any]:
 
 
 def _box_depth(
-    K: npt.NDArray[np.float64], R: npt.NDArray[np.float64], T: npt.NDArray[np.float64], size: tuple[int, int]
-) -> npt.NDArray[np.float64]:
+    K: F64, R: F64, T: F64, size: tuple[int, int]
+) -> F64:
     """Depth (V, H, W) of the box: the ray enters it where it is inside all three pairs of planes."""
     v, u = np.mgrid[: size[0], : size[1]]
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(size)], axis=-1)

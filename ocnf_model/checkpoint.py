@@ -24,7 +24,7 @@ from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
 from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, validate
 from ocnf_model.network import Carry, Join, OctNetFusion, Output
-from ocnf_model.training.tensorfile import read_header, read_tensors, write_tensors
+from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
 
 CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"

@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from ocnf_data.arrays import F64, I64, Bool
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.remake import remake
@@ -37,8 +37,6 @@ from ocnf_data.shards.browse import StoredSample, stored_samples
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
 from ocnf_data.views.cameras import Views
-
-F64 = npt.NDArray[np.float64]
 
 TARGET_ERROR, INPUT_ERROR = 5e-4, 1 / 255  # what storing may change, in units of tau
 ROUNDING = 1e-6  # of float32 against float64
@@ -58,7 +56,7 @@ class Check:
     ok: bool
 
 
-def distances(views: Views, points: F64) -> tuple[F64, npt.NDArray[np.bool_]]:
+def distances(views: Views, points: F64) -> tuple[F64, Bool]:
     """(V, N) `depth - z` along the camera's axis, NaN where a view says nothing; (N,) rounding ties."""
     height, width = views.size
     out = np.full((len(views), len(points)), np.nan)
@@ -98,7 +96,7 @@ def evaluate(distance: F64, encoding: Encoding, tau: float, voxel: float) -> F64
     return votes
 
 
-def choose_cells(octree: GridOctree, n: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def choose_cells(octree: GridOctree, n: int, rng: np.random.Generator) -> I64:
     """(n, 3) voxels (z, y, x): half anywhere, half in width-1 leaves."""
     anywhere = rng.integers(0, octree.shape, size=(n - n // 2, 3))
     fine = octree.leaf_positions()[octree.leaf_sizes() == 1]

@@ -32,7 +32,6 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.octree.codec import decode_raw, encode
-from ocnf_data.octree.oc import read_oc
 from ocnf_data.shards.dataset import DatasetInfo
 from ocnf_data.shards.index import ShardIndex, index_from_tar, read_facts
 from ocnf_data.shards.tarformat import BLOCK, make_header, parse_header
@@ -64,7 +63,7 @@ def read_as_file(data: bytes) -> None:
     file = os.memfd_create("fuzz")
     try:
         os.write(file, data)
-        read_oc(f"/proc/self/fd/{file}")
+        GridOctree.read_oc(f"/proc/self/fd/{file}")
     finally:
         os.close(file)
 

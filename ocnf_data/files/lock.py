@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 from collections.abc import Iterator
 
 from ocnf_data.errors import OcnfError
@@ -23,23 +21,22 @@ def exclusive(store: Store) -> Iterator[None]:
     if store.root is None:
         yield
         return
+    from filelock import FileLock, Timeout
+
     path = store.root / _LOCK
+    lock = FileLock(path)
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = path.open("w")
-    with lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise _busy(store) from None
-        if not path.exists() or not os.path.samestat(path.stat(), os.fstat(lock.fileno())):
-            raise _busy(store)  # it ended as we came and took the file away, so this lock keeps nobody out
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-
-
-def _busy(store: Store) -> OcnfError:
-    return OcnfError("another run is writing here", code="busy", where=store.url,
-                     fix="wait until it is done, or stop it")
+            lock.acquire(blocking=False)
+        except Timeout:
+            raise OcnfError("another run is writing here", code="busy", where=store.url,
+                            fix="wait until it is done, or stop it") from None
+    try:
+        yield
+    finally:
+        # Gone while it is still held: a run that has just opened it finds that it is another file, and waits
+        # for nothing. Windows refuses to remove an open file, and keeps it.
+        with contextlib.suppress(OSError):
+            path.unlink()
+        lock.release()

@@ -13,8 +13,8 @@ import math
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F32
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import accumulate
@@ -140,7 +140,7 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     counts = np.empty((gd, gh, gw), np.int32)
     rows = [(z, y) for z in range(-(-grid.shape[0] // ROOT)) for y in range(-(-grid.shape[1] // ROOT))]
 
-    def fuse_one(row: tuple[int, int]) -> npt.NDArray[np.float32]:
+    def fuse_one(row: tuple[int, int]) -> F32:
         return fuse_row(kind, cameras, offsets, views.depth, pyramid.windows, pyramid.levels, near, far,
                         truncation, _SPLIT_TOLERANCE * encoding.span, constants, *row, trees, counts)
 

@@ -9,14 +9,10 @@ reassociated: results do not depend on the machine's vector width, and pixels ar
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import F32, F64, I32
 from ocnf_data.fusion.projection import CELL
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
 
 CELL_VOXELS = CELL**3
 N_BINS = 10

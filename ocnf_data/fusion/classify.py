@@ -9,15 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.fusion.pyramid import DEEPEST, FARTHEST, NEAREST
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 NOTHING = 0
 """No voxel of the cube gets a contribution: hidden, behind the camera, outside the image, not measured."""

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import F32, F64, I32, I64
 from ocnf_data.fusion.classify import EDGE, FREE, NOTHING, SURFACE, classify, footprints
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
 
 ALL_FREE, ALL_UNSEEN, MIXED = 0, 1, 2
 """State of a cube: every voxel free; every voxel unseen; to be looked at more closely."""

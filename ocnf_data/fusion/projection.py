@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F64
 from ocnf_data.views.cameras import Views
-
-F64 = npt.NDArray[np.float64]
 
 CELL = 4
 """Side, in voxels, of the smallest cube that is classified; voxels are evaluated a cube at a time."""

@@ -15,15 +15,12 @@ neither. With both at hand a silhouette (a near object before free rays) is told
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import F32, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion.threads import map_in_threads
 from ocnf_data.views.cameras import Views
-
-F32 = npt.NDArray[np.float32]
-I64 = npt.NDArray[np.int64]
 
 NEAREST, DEEPEST, FARTHEST = 0, 1, 2
 

@@ -8,9 +8,9 @@ volume exists at any time.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import F32, F64, I32, I64, U64
 from ocnf_data.fusion.accumulate import (
     CELL_VOXELS,
     HISTOGRAM,
@@ -26,12 +26,6 @@ from ocnf_data.fusion.accumulate import (
 )
 from ocnf_data.fusion.cull import MIXED, N_FREE, N_OPEN, STATE, sift
 from ocnf_data.octree.bits import MAX_LEAVES, pack_block
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
-U64 = npt.NDArray[np.uint64]
 
 ROOT = 32
 """Side of the cubes at which the descent begins, in voxels."""

@@ -1,14 +1,17 @@
-"""What beside the manifest decides a data set's bytes: the versions of libraries, and the type of the CPU."""
+"""What the bytes of a data set, or of rendered views, depend on beside meshes: manifest, libraries, CPU."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import platform
 import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import ocnf_data
+from ocnf_data.manifest import Manifest
+from ocnf_data.version import __version__
 
 # safetensors and zstandard write the members; numpy draws the noise and rounds; numba compiles the rest.
 _ALWAYS = ("llvmlite", "numba", "numpy", "safetensors", "zstandard")
@@ -31,9 +34,21 @@ def fingerprint(reads_files: bool, renders_with_gl: bool) -> dict[str, Any]:
     names = [*_ALWAYS, *(_FOR_FILES if reads_files else ()), *(_FOR_PYRENDER if renders_with_gl else ())]
     libraries = {name: _version(name) for name in sorted(set(names))}
     libraries["libzstd"] = ".".join(str(part) for part in zstandard.ZSTD_VERSION)
-    libraries["ocnf"] = ocnf_data.__version__
+    libraries["ocnf"] = __version__
     libraries["python"] = f"{sys.version_info.major}.{sys.version_info.minor}"
     return {"libraries": libraries, "cpu": cpu_type()}
+
+
+def view_fingerprint(manifest: Manifest) -> str:
+    """SHA-256 of everything but the mesh that the rendered depth depends on.
+
+    Noise, view counts, encodings and resolutions are not in it: that is what views are kept for. The
+    package's version is, because a later renderer may be a better one.
+    """
+    parts = manifest.to_dict()
+    facts = {name: parts[name] for name in ("camera", "normalise", "renderer")}
+    text = json.dumps({"ocnf": __version__, **facts}, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def cpu_type() -> str:

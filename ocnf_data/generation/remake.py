@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
+from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.records import Item
 from ocnf_data.generation.sample import Noise, observe, read_item, render_item
@@ -30,7 +28,7 @@ class Origin:
     """
 
     mesh: Mesh
-    vertices: npt.NDArray[np.float64]
+    vertices: F64
     views: Views
     observed: dict[str, Views]
 

@@ -19,6 +19,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.backends import finish
+from ocnf_data.generation.fingerprint import view_fingerprint
 from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
@@ -38,7 +39,7 @@ from ocnf_data.shards.dataset import (
     load_dataset,
     write_dataset,
 )
-from ocnf_data.views.store import ViewStore, view_fingerprint
+from ocnf_data.views.store import ViewStore
 
 VIEWS = "views"
 

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F32, F64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
+from ocnf_data.generation.fingerprint import view_fingerprint
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.manifest import Manifest, Target, Variant
 from ocnf_data.meshes import Mesh, Normalisation, normalise, read_mesh
@@ -30,10 +31,7 @@ from ocnf_data.shards.tarformat import JSON, input_member, target_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.rigs import look_from, rig_from_name
-from ocnf_data.views.store import KeptViews, ViewStore, view_fingerprint
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
+from ocnf_data.views.store import KeptViews, ViewStore
 
 
 def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:

@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.utils.data import get_worker_info
 from torch.utils.data._utils.collate import default_collate_fn_map
 
+from ocnf_data.arrays import U8
 from ocnf_data.errors import OcnfError
 from ocnf_data.loading.assemble import Assembled, Lost
 from ocnf_data.loading.catalogue import Request
@@ -216,7 +217,7 @@ def _allocate(n_bytes: int) -> Tensor:
     return torch.empty(0, dtype=torch.uint8).set_(torch.UntypedStorage._new_shared(n_bytes))
 
 
-def _fill(memory: npt.NDArray[np.uint8], arrays: Sequence[npt.NDArray[Any]]) -> None:
+def _fill(memory: U8, arrays: Sequence[npt.NDArray[Any]]) -> None:
     """Copy arrays, one behind the other, to the beginning of the memory."""
     at = 0
     for array in arrays:

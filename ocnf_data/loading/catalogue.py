@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import I32, I64, U8, Bool
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
@@ -93,13 +93,13 @@ class Catalogue:
     manifest: dict[str, Any]
     shards: tuple[Shard, ...]
     shard_sizes: tuple[int, ...]
-    shard_of: npt.NDArray[np.int32]
+    shard_of: I32
     keys: tuple[str, ...]
     categories: tuple[str, ...]
-    offsets: npt.NDArray[np.int64]
-    sizes: npt.NDArray[np.int64]
-    digests: npt.NDArray[np.uint8]
-    closes: npt.NDArray[np.bool_]
+    offsets: I64
+    sizes: I64
+    digests: U8
+    closes: Bool
 
     def __len__(self) -> int:
         return len(self.keys)

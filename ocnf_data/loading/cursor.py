@@ -24,8 +24,8 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
 
 MAX_WORKERS = 1024
@@ -104,7 +104,7 @@ class Cursor:
             return position
 
     @contextmanager
-    def _locked(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
+    def _locked(self) -> Iterator[tuple[I64, I64]]:
         """((4,) next epoch, next step, resumed, iterations so far; (_ROWS, _COLUMNS) the iterations)."""
         if not self._lock.acquire(timeout=_PATIENCE):
             raise OcnfError("a worker died while it held the data set's lock", where="ShardDataset",

@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import I64, U64, Bool
 from ocnf_data.errors import OcnfError
 
-Indices = npt.NDArray[np.int64]
+Indices = I64
 
 
 class Uneven(StrEnum):
@@ -66,7 +66,7 @@ def epoch_order(shard_sizes: Sequence[int], seed: int, epoch: int, buffer: int,
     return string[np.lexsort((_draws(n_samples, seed, epoch, "samples"), place // buffer))]
 
 
-def _draws(n: int, seed: int, epoch: int, purpose: str) -> npt.NDArray[np.uint64]:
+def _draws(n: int, seed: int, epoch: int, purpose: str) -> U64:
     """`n` random words. Sorting by them permutes, and unlike `Generator.permutation`, whose stream numpy may
     change, the words of a bit generator are promised to stay: a state resumes under a later numpy too.
     """
@@ -117,7 +117,7 @@ class Partition:
             return -(-self.n_samples // stride)
         return max(0, -(-(self.n_samples - self.rank * self.batch_size) // stride))
 
-    def places(self, step: int) -> tuple[Indices, npt.NDArray[np.bool_]]:
+    def places(self, step: int) -> tuple[Indices, Bool]:
         """Batch `step` (0 .. n_batches - 1) of this rank.
 
         Returns:

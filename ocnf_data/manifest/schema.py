@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 
+from ocnf_data.arrays import F64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.strict_yaml import read_yaml
@@ -94,7 +94,7 @@ class Camera(Strict):
         return self.height, self.width
 
     @property
-    def K(self) -> npt.NDArray[np.float64]:
+    def K(self) -> F64:
         """Intrinsics (3, 3), pixels."""
         return intrinsics(self.fx, self.fy, self.cx, self.cy)
 

@@ -1,4 +1,4 @@
-"""Meshes: read from a file, checked, measured, and scaled into the grid's cube (SEMANTICS 1)."""
+"""Meshes: read from a file, checked and measured (SEMANTICS 1)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.meshes.formats.polygons import check_face_count
-from ocnf_data.meshes.topology import MeshStats, mesh_stats
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+from ocnf_data.meshes.topology import MeshStats, bounding_box, mesh_stats
 
 MAX_BYTES = 256 * 2**20
 MAX_FACES = 5_000_000
@@ -38,22 +35,6 @@ class Mesh:
     faces: I64
     sha256: str
     stats: MeshStats
-
-
-@dataclass(frozen=True, eq=False)
-class Normalisation:
-    """`(vertices - centre) * scale`: from a mesh's own coordinates to metres in the grid's cube."""
-
-    centre: F64
-    scale: float
-
-    def apply(self, vertices: F64) -> F64:
-        """Own coordinates (N, 3) to the cube."""
-        return (vertices - self.centre) * self.scale
-
-    def invert(self, points: F64) -> F64:
-        """The cube (N, 3) to own coordinates."""
-        return points / self.scale + self.centre
 
 
 def read_mesh(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES, max_faces: int = MAX_FACES) -> Mesh:
@@ -94,43 +75,6 @@ def read_mesh(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES, max_face
     if stats["degenerate_faces"] == len(faces):
         raise OcnfError("no face has an area", code="degenerate", where=where, found=f"{len(faces)} faces")
     return Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces), sha256, stats)
-
-
-def normalise(mesh: Mesh, extent: float = 3.0, padding: float = 0.05) -> tuple[F64, Normalisation]:
-    """Vertices (N, 3) in metres: the bounding box of the referenced ones centred, its longest side scaled.
-
-    Args:
-        mesh: what to scale.
-        extent: side of the cube in metres.
-        padding: share of it that stays free; the longest side becomes `extent * (1 - padding)`.
-
-    Raises:
-        OcnfError: `degenerate` for a mesh without extent.
-    """
-    normalisation = fit_cube(mesh.vertices, mesh.faces, extent, padding)
-    return normalisation.apply(mesh.vertices), normalisation
-
-
-def fit_cube(vertices: F64, faces: I64, extent: float = 3.0, padding: float = 0.05) -> Normalisation:
-    """The normalisation of `normalise`, for bare arrays."""
-    low, high = bounding_box(vertices, faces, "mesh")
-    return Normalisation(low + (high - low) / 2, extent * (1 - padding) / float((high - low).max()))
-
-
-def bounding_box(vertices: F64, faces: I64, where: str) -> tuple[F64, F64]:
-    """Lowest and highest corner of the vertices that faces refer to.
-
-    Raises:
-        OcnfError: `degenerate` where the longest side is zero, or too small or large to scale in float64.
-    """
-    used = vertices[np.unique(faces)]
-    low, high = used.min(axis=0), used.max(axis=0)
-    with np.errstate(over="ignore"):
-        longest = float((high - low).max())
-    if not 1e-150 < longest < 1e150:
-        raise OcnfError("the mesh has no usable extent", code="degenerate", where=where, found=longest,
-                        expected="a bounding box with a longest side")
-    return low, high
 
 
 def _read_bytes(path: Path, max_bytes: int) -> bytes:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TypedDict
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+from ocnf_data.arrays import F64, I64
+from ocnf_data.errors import OcnfError
 
 
 class MeshStats(TypedDict):
@@ -83,3 +82,19 @@ def _components(faces: I64, n_vertices: int) -> int:
     for v in range(n_vertices):
         count += used[v] and parent[v] == v
     return count
+
+
+def bounding_box(vertices: F64, faces: I64, where: str) -> tuple[F64, F64]:
+    """Lowest and highest corner of the vertices that faces refer to.
+
+    Raises:
+        OcnfError: `degenerate` where the longest side is zero, or too small or large to scale in float64.
+    """
+    used = vertices[np.unique(faces)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    with np.errstate(over="ignore"):
+        longest = float((high - low).max())
+    if not 1e-150 < longest < 1e150:
+        raise OcnfError("the mesh has no usable extent", code="degenerate", where=where, found=longest,
+                        expected="a bounding box with a longest side")
+    return low, high

@@ -14,19 +14,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import fuse_tsdf
 from ocnf_data.meshes.formats import FORMATS
-from ocnf_data.meshes.read import fit_cube, read_mesh
+from ocnf_data.meshes.normalise import fit_cube
+from ocnf_data.meshes.read import read_mesh
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.octree.surface import octree_surface
 from ocnf_data.render import render_depth
 from ocnf_data.views import rigs
 from ocnf_data.views.cameras import Views
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 DEFAULT_LEVEL = 0.25
 _EXTENT = _DISTANCE = 3.0  # metres, of the paper's cube and rig

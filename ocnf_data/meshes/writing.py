@@ -6,10 +6,8 @@ import io
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+from ocnf_data.arrays import F64, I64
 
 _STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _DIGITS = "%.12g"

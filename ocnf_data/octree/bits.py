@@ -17,8 +17,9 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
+
+from ocnf_data.arrays import F32, I16, I64, U64
 
 TREE_WIDTH = 8
 """Voxels along the side of a tree."""
@@ -26,7 +27,7 @@ MAX_LEAVES = 512
 """Leaves of a tree that is split down to every voxel."""
 
 Word: TypeAlias = np.uint64 | int
-FloatArray: TypeAlias = npt.NDArray[np.float32]
+FloatArray: TypeAlias = F32
 
 _ONE = np.uint64(1)
 _BYTE = np.uint64(0xFF)
@@ -97,7 +98,7 @@ def is_tree(lo: Word, hi: Word) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def leaf_prefix(trees: npt.NDArray[np.uint64]) -> npt.NDArray[np.int64]:
+def leaf_prefix(trees: U64) -> I64:
     """(N, 2) trees -> (N + 1,) int64: index of the first leaf of each tree, and the total at the end."""
     prefix = np.empty(len(trees) + 1, np.int64)
     prefix[0] = 0
@@ -127,7 +128,7 @@ def leaf_of_voxel(lo: Word, hi: Word, z: int, y: int, x: int) -> tuple[int, int]
 
 
 @njit(cache=True, nogil=True)
-def tree_leaves(lo: Word, hi: Word, cells: npt.NDArray[np.int16]) -> int:
+def tree_leaves(lo: Word, hi: Word, cells: I16) -> int:
     """Write the leaves' lowest corners and widths, in order, to `cells` (512, 4) int16 as (z, y, x, width).
 
     Returns the number of leaves.

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import F32, I32, I64, U8, U32, U64
 from ocnf_data.octree.bits import (
     MAX_LEAVES,
     TREE_WIDTH,
@@ -24,9 +25,9 @@ from ocnf_data.octree.bits import (
     tree_leaves,
 )
 
-FloatArray: TypeAlias = npt.NDArray[np.float32]
-TreeArray: TypeAlias = npt.NDArray[np.uint64]
-Prefix: TypeAlias = npt.NDArray[np.int64]
+FloatArray: TypeAlias = F32
+TreeArray: TypeAlias = U64
+Prefix: TypeAlias = I64
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -133,7 +134,7 @@ def paint(trees: TreeArray, prefix: Prefix, data: npt.NDArray, volume: npt.NDArr
 @njit(cache=True, nogil=True)
 def locate_leaves(
     trees: TreeArray, prefix: Prefix, gh: int, gw: int
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
+) -> tuple[I32, U8]:
     """Lowest voxel (z, y, x) of each leaf, (n_leaves, 3) int32, and its width, (n_leaves,) uint8."""
     corners = np.empty((prefix[-1], 3), np.int32)
     widths = np.empty(prefix[-1], np.uint8)
@@ -152,8 +153,8 @@ def locate_leaves(
 
 @njit(cache=True, nogil=True, parallel=True)
 def leaves_at(
-    trees: TreeArray, prefix: Prefix, gh: int, gw: int, zyx: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
+    trees: TreeArray, prefix: Prefix, gh: int, gw: int, zyx: I64
+) -> I64:
     """Index of the leaf that holds each of the voxels `zyx` (N, 3), which lie inside: (N,) int64."""
     leaves = np.empty(len(zyx), np.int64)
     for n in prange(len(zyx)):
@@ -176,7 +177,7 @@ def first_bad_tree(trees: TreeArray) -> int:
 
 
 @njit(cache=True, nogil=True)
-def all_finite(words: npt.NDArray[np.uint32]) -> bool:
+def all_finite(words: U32) -> bool:
     """Whether float32 values, given as a flat uint32 view, are all finite: an integer loop vectorises."""
     exponent = np.uint32(0x7F800000)
     n_bad = 0

@@ -9,10 +9,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ocnf_data.arrays import I32, I64, U8
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import dense
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_prefix
 from ocnf_data.octree.dense import FloatArray, TreeArray
+from ocnf_data.octree.oc import read_oc, write_oc
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ class GridOctree:
         return int(self.prefix[-1])
 
     @cached_property
-    def prefix(self) -> npt.NDArray[np.int64]:
+    def prefix(self) -> I64:
         """(T + 1,): index of each tree's first leaf, and the number of leaves at the end."""
         return leaf_prefix(self.trees.reshape(-1, 2))
 
@@ -96,11 +98,11 @@ class GridOctree:
         dense.paint(self.trees.reshape(-1, 2), self.prefix, self.data, volume)
         return volume
 
-    def leaf_width(self) -> npt.NDArray[np.uint8]:
+    def leaf_width(self) -> U8:
         """(D, H, W) uint8: width in voxels (8, 4, 2 or 1) of the leaf that holds each voxel."""
         return self._paint_rows(self.leaf_sizes())
 
-    def leaf_index(self) -> npt.NDArray[np.int32]:
+    def leaf_index(self) -> I32:
         """(D, H, W) int32: row in `data` of the leaf that holds each voxel."""
         return self._paint_rows(np.arange(self.n_leaves, dtype=np.int32))
 
@@ -109,16 +111,16 @@ class GridOctree:
         dense.paint(self.trees.reshape(-1, 2), self.prefix, rows[:, None], volume)
         return volume[0]
 
-    def leaf_positions(self) -> npt.NDArray[np.int32]:
+    def leaf_positions(self) -> I32:
         """(n_leaves, 3) int32: lowest voxel (z, y, x) of each leaf."""
         return self._located[0]
 
-    def leaf_sizes(self) -> npt.NDArray[np.uint8]:
+    def leaf_sizes(self) -> U8:
         """(n_leaves,) uint8: width of each leaf in voxels (8, 4, 2 or 1)."""
         return self._located[1]
 
     @property
-    def _located(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
+    def _located(self) -> tuple[I32, U8]:
         _, gh, gw, _ = self.trees.shape
         return dense.locate_leaves(self.trees.reshape(-1, 2), self.prefix, gh, gw)
 
@@ -152,16 +154,12 @@ class GridOctree:
 
     def write_oc(self, path: str | os.PathLike[str]) -> None:
         """Write the published `.oc` format (see `octree.oc`)."""
-        from ocnf_data.octree.oc import write_oc  # oc imports this module
-
         write_oc(self, path)
 
     @staticmethod
     def read_oc(path: str | os.PathLike[str]) -> GridOctree:
         """Read a `.oc` file (see `octree.oc`)."""
-        from ocnf_data.octree.oc import read_oc
-
-        return read_oc(path)
+        return read_oc(path, GridOctree)
 
     def __repr__(self) -> str:
         """One line: size, channels, leaves and their share of the voxels."""

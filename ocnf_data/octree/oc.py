@@ -12,13 +12,17 @@ with B = GD GH GW blocks. The format knows batches of n grids; this project stor
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.octree.grid import GridOctree
+
+if TYPE_CHECKING:  # grid.py imports this module
+    from ocnf_data.arrays import F32, U64
+    from ocnf_data.octree.grid import GridOctree
 
 _MAGIC = 31193
 _HEADER = ("magic", "n", "grid_depth", "grid_height", "grid_width", "channels", "n_leafs")
@@ -46,20 +50,24 @@ def write_oc(octree: GridOctree, path: str | os.PathLike[str]) -> None:
         raise OcnfError(f"cannot be written: {error.strerror}", code="unwritable", where=path) from error
 
 
-def read_oc(path: str | os.PathLike[str]) -> GridOctree:
+def read_oc(path: str | os.PathLike[str], make: Callable[[U64, F32], GridOctree]) -> GridOctree:
     """Read a `.oc` file. Nothing is allocated before the header agrees with the size of the file.
+
+    Args:
+        path: of the file.
+        make: an octree of trees and data: the class.
 
     Raises:
         OcnfError: the file cannot be read, holds more than one octree, or contradicts itself anywhere.
     """
     try:
         with Path(path).open("rb") as file:
-            return _read(file, path)
+            return _read(file, path, make)
     except OSError as error:
         raise OcnfError(f"cannot be read: {error.strerror}", code="unreadable", where=path) from error
 
 
-def _read(file: BinaryIO, path: str | os.PathLike[str]) -> GridOctree:
+def _read(file: BinaryIO, path: str | os.PathLike[str], make: Callable[[U64, F32], GridOctree]) -> GridOctree:
     size = os.fstat(file.fileno()).st_size
     raw = file.read(_HEADER_BYTES)
     if len(raw) < _HEADER_BYTES:
@@ -89,7 +97,7 @@ def _read(file: BinaryIO, path: str | os.PathLike[str]) -> GridOctree:
     data = np.frombuffer(body, "<f4", n_leaves * channels, 16 * n_blocks).reshape(n_leaves, channels)
     prefix = np.frombuffer(body, "<i4", n_blocks, 16 * n_blocks + 4 * n_leaves * channels)
     try:
-        octree = GridOctree(words.astype(np.uint64, copy=False), data.astype(np.float32))
+        octree = make(words.astype(np.uint64, copy=False), data.astype(np.float32))
     except OcnfError as error:
         raise OcnfError(error.what, code=error.code, where=path, field=error.field, found=error.found,
                         expected=error.expected) from error

@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import F32, U8, U16
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.bits import leaf_prefix
@@ -46,7 +47,7 @@ class Storage:
     units: str
     low: float
     """Smallest value; the largest is 1 for every kind."""
-    quantise: Callable[[npt.NDArray[np.float32]], StoredArray]
+    quantise: Callable[[F32], StoredArray]
     first_bad_row: Callable[[StoredArray], int]
     """Index of the first row of (n_leaves, C) stored data that no octree of the kind can hold, or -1."""
 
@@ -138,11 +139,11 @@ def quantise(octree: GridOctree, kind: str) -> RawOctree:
     return RawOctree.trusted(octree.trees, storage.quantise(octree.data), str(kind))
 
 
-def _round_float(step_bits: int) -> Callable[[npt.NDArray[np.float32]], StoredArray]:
+def _round_float(step_bits: int) -> Callable[[F32], StoredArray]:
     """To multiples of 2^-step_bits; what would vanish becomes half a step, which is the others' bound too."""
     steps = np.float32(1 << step_bits)
 
-    def quantise_float(values: npt.NDArray[np.float32]) -> StoredArray:
+    def quantise_float(values: F32) -> StoredArray:
         rounded = np.rint(values * steps) / steps  # exact but for the rint: powers of two
         vanished = (rounded == 0) & (values != 0)
         rounded[vanished] = np.copysign(np.float32(0.5) / steps, values[vanished])
@@ -151,12 +152,12 @@ def _round_float(step_bits: int) -> Callable[[npt.NDArray[np.float32]], StoredAr
     return quantise_float
 
 
-def _round_share(values: npt.NDArray[np.float32]) -> StoredArray:
+def _round_share(values: F32) -> StoredArray:
     """[0, 1] to 0..255; what would vanish becomes 1."""
     return np.maximum(np.rint(values * np.float32(255)), values > 0).astype(np.uint8)
 
 
-def _round_histogram(values: npt.NDArray[np.float32]) -> StoredArray:
+def _round_histogram(values: F32) -> StoredArray:
     stored, bad = _largest_remainder(values)
     if bad >= 0:
         raise OcnfError("the bins do not sum to 1", code="range", field=f"data[{bad}]",
@@ -165,7 +166,7 @@ def _round_histogram(values: npt.NDArray[np.float32]) -> StoredArray:
 
 
 @njit(cache=True, nogil=True)
-def _largest_remainder(values: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.uint8], int]:
+def _largest_remainder(values: F32) -> tuple[U8, int]:
     """Rows that sum to 1 -> rows of uint8 that sum to 255, and the first row that does not sum to 1, or -1.
 
     Floors first; the units that are missing go to the largest remainders, the lower bin first among equals.
@@ -196,7 +197,7 @@ def _largest_remainder(values: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.
 
 
 @njit(cache=True, nogil=True)
-def _first_bad_histogram(data: npt.NDArray[np.uint8]) -> int:
+def _first_bad_histogram(data: U8) -> int:
     n_rows, n_bins = data.shape
     for row in range(n_rows):
         total = 0
@@ -208,7 +209,7 @@ def _first_bad_histogram(data: npt.NDArray[np.uint8]) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _first_beyond_one(words: npt.NDArray[np.uint16]) -> int:
+def _first_beyond_one(words: U16) -> int:
     # A float16 is finite and at most 1 in size iff its bits without the sign are at most those of 1.
     n_bad = 0
     for i in range(len(words)):

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 # A value of exactly the level at a voxel would put up to six vertices in one place. This far from it (a
 # share of tau, about 0.002 voxels) each vertex has a place of its own, and nothing visible moves.
@@ -57,7 +55,7 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     return (index + 0.5 - centre) * size + origin, faces.astype(np.int64)
 
 
-def _occupied(octree: GridOctree, level: float) -> tuple[GridOctree | None, npt.NDArray[np.int64]]:
+def _occupied(octree: GridOctree, level: float) -> tuple[GridOctree | None, I64]:
     """The box of trees around all that are not wholly free, and its first tree (gd, gh, gw).
 
     None in place of the box where nothing lies below `level`.
@@ -89,7 +87,7 @@ def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
     return np.stack([crowded // n, crowded % n], axis=1)
 
 
-def _fill(values: npt.NDArray[np.float32], middles: npt.NDArray[np.floating]) -> bool:
+def _fill(values: F32, middles: npt.NDArray[np.floating]) -> bool:
     """Make one more voxel solid at every side of a cell in which a point of `middles` (k, 3), z y x, lies.
 
     Of its two free voxels, which alternate with two solid ones, it is the one nearer to the surface. Nothing

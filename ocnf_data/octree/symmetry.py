@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import I64, Bool
 from ocnf_data.octree.bits import child_bits, is_split, leaf_prefix, popcount, splits_below, with_split
 from ocnf_data.octree.dense import Prefix, TreeArray
 from ocnf_data.octree.grid import GridOctree
@@ -83,9 +84,9 @@ def _move(
     trees: TreeArray,
     prefix: Prefix,
     data: npt.NDArray[Any],
-    axes: npt.NDArray[np.int64],
-    flips: npt.NDArray[np.bool_],
-    octants: npt.NDArray[np.int64],
+    axes: I64,
+    flips: Bool,
+    octants: I64,
 ) -> tuple[TreeArray, npt.NDArray[Any]]:
     # Not parallel: loader workers are forked, and an OpenMP runtime does not survive a fork.
     size = np.array(trees.shape[:3])
@@ -111,7 +112,7 @@ def _move(
 
 @njit(cache=True, nogil=True)
 def _move_tree(
-    lo: np.uint64, hi: np.uint64, leaves: npt.NDArray[Any], octants: npt.NDArray[np.int64],
+    lo: np.uint64, hi: np.uint64, leaves: npt.NDArray[Any], octants: I64,
     moved: npt.NDArray[Any],
 ) -> tuple[np.uint64, np.uint64]:
     """Permute the leaves of one tree into `moved`; returns its new bits."""

@@ -14,14 +14,12 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views
 
 __all__ = ["BACKENDS", "render_depth"]
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 Backend = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
 
 _MAX_SIDE = 16384

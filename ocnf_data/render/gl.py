@@ -24,13 +24,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 _MESHES_PER_CONTEXT = 16
 _MARGIN = 1e-3  # share of the depth range that near and far stay away from the mesh

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F32, I32, I64
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-F32 = npt.NDArray[np.float32]
 
 AXES = "zyx"
 _NO_MEASUREMENT = (0.85, 0.25, 0.25, 1.0)
@@ -38,7 +37,7 @@ def as_distance(data: F32, encoding: Encoding) -> F32:
 
 def slice_cells(
     octree: GridOctree, axis: int, index: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+) -> tuple[I64, I32]:
     """The leaves that a plane of voxels cuts.
 
     Args:
@@ -56,7 +55,7 @@ def slice_cells(
     return cut, np.column_stack([low[cut, row], low[cut, column], width[cut]]).astype(np.int32)
 
 
-def paint_squares(squares: npt.NDArray[np.int32], value: F32, size: tuple[int, int]) -> F32:
+def paint_squares(squares: I32, value: F32, size: tuple[int, int]) -> F32:
     """An image of `size` from squares (n, 3) (row, column, width) that tile it, and a value (n,) for each."""
     image = np.empty(size, dtype=np.float32)
     for width in np.unique(squares[:, 2]):

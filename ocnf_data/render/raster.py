@@ -14,13 +14,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U32 = npt.NDArray[np.uint32]
+from ocnf_data.arrays import F32, F64, I64, U32
 
 # A triangle narrower than this many pixels at its middle vertex is seen edge on: the slope of w across it is
 # rounding noise, so w is taken from its long edge.

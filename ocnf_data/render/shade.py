@@ -9,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ocnf_data.arrays import F64, U8, Bool
 from ocnf_data.render.raster import rasterise
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 CLAY = (0.80, 0.76, 0.70)
 _KEY_LIGHT = np.array([-0.45, -0.65, -0.61])  # camera axes (x right, y down, z forward), towards the light
@@ -30,7 +28,7 @@ def shade(
     colour: tuple[float, float, float] = CLAY,
     frame: npt.ArrayLike | None = None,
     supersample: int = 3,
-) -> npt.NDArray[np.uint8]:
+) -> U8:
     """Draw a surface, two-sided, on white.
 
     Args:
@@ -121,7 +119,7 @@ def _normals(depth: F64, K: F64) -> F64:
     return np.where((unit * ray).sum(axis=-1, keepdims=True) > 0, -unit, unit)
 
 
-def _occlusion(depth: F64, hit: npt.NDArray[np.bool_], radius: float, n: int) -> F64:
+def _occlusion(depth: F64, hit: Bool, radius: float, n: int) -> F64:
     """Factor (H, W) in 0.45..1: darker where the surroundings are nearer than the pixel."""
     from scipy.ndimage import gaussian_filter
 

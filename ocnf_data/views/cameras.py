@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ocnf_data.arrays import F32, F64
 from ocnf_data.errors import OcnfError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 # A rotation read from a text file with six digits is off by about 1e-6; one off by more is not a rotation.
 _ROTATION_TOLERANCE = 1e-3

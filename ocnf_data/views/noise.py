@@ -11,11 +11,9 @@ import hashlib
 import json
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F32
 from ocnf_data.errors import OcnfError
-
-F32 = npt.NDArray[np.float32]
 
 
 def view_noise(seed: int, key: str, view: int, size: tuple[int, int]) -> F32:

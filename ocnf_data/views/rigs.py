@@ -12,11 +12,9 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError
-
-F64 = npt.NDArray[np.float64]
 
 _MAX_SUBDIVISIONS = 5
 _MAX_DIRECTIONS = 20 * 4**_MAX_SUBDIVISIONS
@@ -111,7 +109,7 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> F64:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def view_subset(n_rig: int, k: int) -> npt.NDArray[np.int64]:
+def view_subset(n_rig: int, k: int) -> I64:
     """Indices (k,) of k views spread over a rig of n_rig: `linspace(0, n_rig - 1, k)` truncated, 0 for k = 1.
 
     >>> view_subset(80, 4)

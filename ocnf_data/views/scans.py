@@ -20,15 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F32, F64, U16
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import storage_errors
 from ocnf_data.views.cameras import Views, check_rotation
 from ocnf_data.views.store import read_kept
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 _DEPTH, _POSE = ".depth.png", ".pose.txt"
 _NO_MEASUREMENT = 65535  # some writers mean this, others 0
@@ -190,7 +187,7 @@ def _read_depths(files: list[Path]) -> F32:
     return depth
 
 
-def _image(file: Path) -> npt.NDArray[np.uint16]:
+def _image(file: Path) -> U16:
     try:
         import cv2
     except ImportError as error:

@@ -20,9 +20,7 @@ them, such as fusing them at another resolution.
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import math
 import os
 import re
@@ -36,9 +34,8 @@ import numpy.typing as npt
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store, storage_errors
-from ocnf_data.manifest import Manifest
-from ocnf_data.meshes import Normalisation
 from ocnf_data.views.cameras import Views
+from ocnf_data.views.normalisation import Normalisation
 
 if TYPE_CHECKING:
     import h5py
@@ -71,20 +68,6 @@ class KeptViews:
     fingerprint: str
     normalisation: Normalisation
     extent: float
-
-
-def view_fingerprint(manifest: Manifest) -> str:
-    """SHA-256 of everything but the mesh that the rendered depth depends on.
-
-    Noise, view counts, encodings and resolutions are not in it: that is what views are kept for. The
-    package's version is, because a later renderer may be a better one.
-    """
-    from ocnf_data import __version__
-
-    parts = manifest.to_dict()
-    facts = {name: parts[name] for name in ("camera", "normalise", "renderer")}
-    text = json.dumps({"ocnf": __version__, **facts}, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class ViewStore:
@@ -152,11 +135,6 @@ def read_kept(place: str) -> KeptViews:
                                 found=f"{len(names)} keys", fix=f"name one of them: {path}::KEY")
             key = names[0]
         return _kept(_group(file, key))
-
-
-def read_views(place: str) -> Views:
-    """The views kept at `FILE.h5::KEY`."""
-    return read_kept(place).views
 
 
 def _file_name(key: str) -> str:

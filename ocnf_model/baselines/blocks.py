@@ -10,16 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import F32, I32, I64, U64, Bool
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.bits import tree_leaves
 from ocnf_model.baselines.passes import FREE, OUTSIDE, UNSEEN
-
-F32 = npt.NDArray[np.float32]
-I32 = npt.NDArray[np.int32]
-U64 = npt.NDArray[np.uint64]
 
 _FREE_ROW, _UNSEEN_ROW = 0, 1
 
@@ -69,7 +65,7 @@ class State:
         h_row: (blocks,) int32: where the block's data term is.
     """
 
-    def __init__(self, histogram: Histogram, stored: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, histogram: Histogram, stored: Bool) -> None:
         self.histogram = histogram
         rows = histogram.rows
         self.slots = np.where(rows == _FREE_ROW, FREE, UNSEEN).astype(np.int32)
@@ -92,7 +88,7 @@ class State:
         """Every block stored that is not constant."""
         return cls(histogram, histogram.rows >= 2)
 
-    def grown(self, needed: npt.NDArray[np.bool_]) -> State:
+    def grown(self, needed: Bool) -> State:
         """The same with the neighbours stored that `passes.touched` asks for."""
         stored = self.slots >= 0
         coords = np.argwhere(stored)
@@ -119,12 +115,12 @@ class State:
         self.anchor_u, self.anchor_p = self.u.copy(), self.p.copy()
 
 
-def _pick(grid: I32, at: npt.NDArray[np.int64]) -> I32:
+def _pick(grid: I32, at: I64) -> I32:
     return np.ascontiguousarray(grid[at[..., 0], at[..., 1], at[..., 2]])
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _expand(trees: U64, prefix: npt.NDArray[np.int64], data: F32, mixed: npt.NDArray[np.int64],
+def _expand(trees: U64, prefix: I64, data: F32, mixed: I64,
             h: F32) -> None:
     for b in prange(len(mixed)):
         tree = mixed[b]

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines.total_variation import tvl1
-from ocnf_model.evaluation.metrics import grid_mad_mm
+from ocnf_model.metrics import grid_mad_mm
 
 Case = tuple[GridOctree, GridOctree, float]
 """(histogram, ground truth TSDF / tau, tau in metres) of one model."""
@@ -38,11 +38,11 @@ class WeightChoice:
     """
 
     weight: float
-    weights: npt.NDArray[np.float64]
-    mad_mm: npt.NDArray[np.float64]
+    weights: F64
+    mad_mm: F64
 
     @property
-    def mean_mm(self) -> npt.NDArray[np.float64]:
+    def mean_mm(self) -> F64:
         """(N,) mean over the models, in millimetres: what is minimised."""
         return np.asarray(self.mad_mm.mean(axis=1))
 

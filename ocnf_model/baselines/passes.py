@@ -9,12 +9,9 @@ are added up in the order of the blocks, so results do not depend on the number 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
+from ocnf_data.arrays import F32, F64, I32, Bool
 
 FREE, UNSEEN, OUTSIDE = -1, -2, -3
 
@@ -152,7 +149,7 @@ def energies(u: F32, p: F32, lower: I32, upper: I32, h: F32, h_row: I32, weight:
 
 
 @njit(cache=True, nogil=True)
-def touched(u: F32, p: F32, lower: I32, upper: I32) -> npt.NDArray[np.bool_]:
+def touched(u: F32, p: F32, lower: I32, upper: I32) -> Bool:
     """(blocks, 6): whether the missing lower (z, y, x), then upper neighbour has to be stored.
 
     It has where u on the face is not its constant (its gradient is then not 0) or, above, p on the face is

@@ -19,16 +19,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import F32, I32, I64, U64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.bits import pack_block
 from ocnf_model.baselines.blocks import Histogram, State
 from ocnf_model.baselines.passes import FREE, dual_pass, energies, primal_pass, touched
-
-F32 = npt.NDArray[np.float32]
 
 _STEP = 1 / math.sqrt(12)
 """sqrt(t sigma); |grad|^2 <= 12 in 3-D, so t sigma <= 1/12 converges."""
@@ -176,8 +174,8 @@ def _pack(state: State, scale: float) -> GridOctree:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _pack_trees(slots: npt.NDArray[np.int32], values: F32, tolerance: float,
-                trees: npt.NDArray[np.uint64], counts: npt.NDArray[np.int64]) -> None:
+def _pack_trees(slots: I32, values: F32, tolerance: float,
+                trees: U64, counts: I64) -> None:
     """Structure and leaves of each tree; a stored block's leaves overwrite the front of its values."""
     for tree in prange(len(slots)):
         if slots[tree] < 0:
@@ -190,7 +188,7 @@ def _pack_trees(slots: npt.NDArray[np.int32], values: F32, tolerance: float,
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _place_leaves(slots: npt.NDArray[np.int32], values: F32, prefix: npt.NDArray[np.int64],
+def _place_leaves(slots: I32, values: F32, prefix: I64,
                   data: F32) -> None:
     for tree in prange(len(slots)):
         if slots[tree] >= 0:

@@ -8,22 +8,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_model.baselines import tvl1
 from ocnf_model.evaluation.methods import Method, run_levels, stored_volfus
-from ocnf_model.evaluation.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.evaluation.models import Facts, Model, Plan
+from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 
-Surface = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]
+Surface = tuple[F64, I64]
 Weight = Callable[[str, int], float]
 """TV-L1's weight for a (variant, resolution)."""
 

@@ -7,18 +7,18 @@ is `leaf_prefix(trees)`. Each tree writes to its own place, so results do not de
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import F32, I32, I64, U8, U64
 from ocnf_data.octree.bits import MAX_LEAVES, TREE_WIDTH, leaf_of_voxel, tree_leaves
 
-TreeArray = npt.NDArray[np.uint64]
-Prefix = npt.NDArray[np.int64]
-Indices = npt.NDArray[np.int32]
+TreeArray = U64
+Prefix = I64
+Indices = I32
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def leaf_sizes(trees: TreeArray, prefix: Prefix) -> npt.NDArray[np.uint8]:
+def leaf_sizes(trees: TreeArray, prefix: Prefix) -> U8:
     """(L,) uint8: width of each leaf."""
     sizes = np.empty(prefix[-1], np.uint8)
     for t in prange(len(trees)):
@@ -97,7 +97,7 @@ def parent_leaves(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def count_overlaps(trees: TreeArray, prefix: Prefix, other: TreeArray) -> npt.NDArray[np.int64]:
+def count_overlaps(trees: TreeArray, prefix: Prefix, other: TreeArray) -> I64:
     """(L,): how many leaves of the other trees, at the same resolution, share voxels with each leaf."""
     counts = np.empty(prefix[-1], np.int64)
     for t in prange(len(trees)):
@@ -116,8 +116,8 @@ def count_overlaps(trees: TreeArray, prefix: Prefix, other: TreeArray) -> npt.ND
 
 @njit(cache=True, nogil=True, parallel=True)
 def fill_overlaps(
-    trees: TreeArray, prefix: Prefix, other: TreeArray, other_prefix: Prefix, starts: npt.NDArray[np.int64]
-) -> tuple[Indices, npt.NDArray[np.float32]]:
+    trees: TreeArray, prefix: Prefix, other: TreeArray, other_prefix: Prefix, starts: I64
+) -> tuple[Indices, F32]:
     """The leaves of `count_overlaps`, (N,) int32, and the share of the leaf in each, (N,) float32.
 
     Those of leaf i are entries starts[i] to starts[i + 1].
@@ -143,8 +143,8 @@ def fill_overlaps(
 
 @njit(cache=True, nogil=True)
 def transpose(
-    columns: Indices, starts: npt.NDArray[np.int64], n_columns: int
-) -> tuple[npt.NDArray[np.int64], Indices, npt.NDArray[np.int64]]:
+    columns: Indices, starts: I64, n_columns: int
+) -> tuple[I64, Indices, I64]:
     """Of a sparse matrix in rows: where its columns start, the row of each entry, and its old place."""
     column_starts = np.zeros(n_columns + 1, np.int64)
     for column in columns:

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from numba import njit, prange
 from torch import Tensor
 
+from ocnf_data.arrays import F32, I16, I64, Bool
 from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, tree_leaves
 from ocnf_model.octree.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
 from ocnf_model.octree.structure import Structure
@@ -69,7 +69,7 @@ class Neighbours:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> npt.NDArray[np.bool_]:
+def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> Bool:
     """(L,) bool: leaves one voxel wide whose 27 neighbours all lie inside the grid."""
     regular = np.empty(prefix[-1], np.bool_)
     for t in prange(len(trees)):
@@ -133,7 +133,7 @@ def _add_overlap(found: Indices, n: int, leaf: int, z: int, y: int, x: int, wide
 
 
 @njit(cache=True, nogil=True)
-def _around_leaf(cell: npt.NDArray[np.int16], leaves: Indices, widths: Indices, found: Indices) -> int:
+def _around_leaf(cell: I16, leaves: Indices, widths: Indices, found: Indices) -> int:
     """Rows of `found` (1000, 10) for the leaves that touch a leaf, itself included: how many there are."""
     w = cell[3]
     n = 0
@@ -185,8 +185,8 @@ def _around_tree(
 
 @njit(cache=True, nogil=True, parallel=True)
 def count_irregular(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: npt.NDArray[np.bool_],
-    rank: npt.NDArray[np.int64], counts: npt.NDArray[np.int64],
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: Bool,
+    rank: I64, counts: I64,
 ) -> None:
     """Add the number of entries of each row (i, k) of the irregular leaves to `counts` (27 I,)."""
     for t in prange(len(trees)):
@@ -213,9 +213,9 @@ def count_irregular(
 
 @njit(cache=True, nogil=True, parallel=True)
 def fill(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: npt.NDArray[np.bool_],
-    rank: npt.NDArray[np.int64], n_regular: int, starts: npt.NDArray[np.int64],
-) -> tuple[Indices, Indices, npt.NDArray[np.float32]]:
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: Bool,
+    rank: I64, n_regular: int, starts: I64,
+) -> tuple[Indices, Indices, F32]:
     """The table of the regular leaves, and columns and weights of the others, as in `Neighbours`."""
     table = np.empty((n_regular, N_OFFSETS), np.int32)
     columns = np.empty(starts[-1], np.int32)

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from numba import njit, prange
 from torch import Tensor
 
+from ocnf_data.arrays import U8
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.bits import MAX_LEAVES, child_bits, is_split, leaf_of_voxel, tree_leaves, with_split
 from ocnf_model.octree.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
@@ -114,7 +114,7 @@ def pooled_trees(trees: TreeArray, grid: tuple[int, int, int]) -> TreeArray:
 @njit(cache=True, nogil=True, parallel=True)
 def match_pooled(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], pooled: TreeArray, pooled_prefix: Prefix
-) -> tuple[Indices, Indices, npt.NDArray[np.uint8]]:
+) -> tuple[Indices, Indices, U8]:
     """`first`, `parents` and `slots` of `Halving`."""
     coarse_grid = (grid[0] // 2, grid[1] // 2, grid[2] // 2)
     first = np.empty(pooled_prefix[-1], np.int32)

@@ -12,16 +12,16 @@ from typing import Any, Protocol, Self, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ocnf_data.arrays import I64, U8, U64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_prefix
 from ocnf_model.octree.leaves import leaf_sizes
 
-TreeArray = npt.NDArray[np.uint64]
+TreeArray = U64
 
 
 class Movable(Protocol):
@@ -92,7 +92,7 @@ class Structure:
         return self.trees.reshape(-1, 2)
 
     @cached_property
-    def prefix(self) -> npt.NDArray[np.int64]:
+    def prefix(self) -> I64:
         """(T + 1,): index of each tree's first leaf in the batch, and the number of leaves L at the end."""
         return leaf_prefix(self.flat)
 
@@ -108,7 +108,7 @@ class Structure:
         return [int(n) for n in np.diff(bounds)]
 
     @cached_property
-    def sizes(self) -> npt.NDArray[np.uint8]:
+    def sizes(self) -> U8:
         """(L,) uint8: width of each leaf in voxels (8, 4, 2 or 1)."""
         return leaf_sizes(self.flat, self.prefix)
 

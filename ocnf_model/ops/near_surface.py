@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import U8, Bool
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_of_voxel, with_split
 from ocnf_model.octree.leaves import Prefix, TreeArray, tree_at, tree_place
 
@@ -14,7 +14,7 @@ _BELOW, _ABOVE = np.uint8(1), np.uint8(2)
 
 @njit(cache=True, nogil=True, parallel=True)
 def surface_trees(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], below: npt.NDArray[np.bool_], reach: int
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], below: Bool, reach: int
 ) -> TreeArray:
     """Trees (8 T, 2) at twice the resolution, with every voxel near the surface split into eight.
 
@@ -52,7 +52,7 @@ def surface_trees(
 
 
 @njit(cache=True, nogil=True)
-def _sides_of_trees(prefix: Prefix, below: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+def _sides_of_trees(prefix: Prefix, below: Bool) -> U8:
     """Which sides occur in each tree, as bits."""
     sides = np.zeros(len(prefix) - 1, np.uint8)
     for t in range(len(sides)):
@@ -62,7 +62,7 @@ def _sides_of_trees(prefix: Prefix, below: npt.NDArray[np.bool_]) -> npt.NDArray
 
 
 @njit(cache=True, nogil=True)
-def _mixed_around(sides: npt.NDArray[np.uint8], b: int, gd: int, gh: int, gw: int,
+def _mixed_around(sides: U8, b: int, gd: int, gh: int, gw: int,
                   grid: tuple[int, int, int], n_around: int) -> bool:
     """Whether both sides occur in the trees up to `n_around` away."""
     found = np.uint8(0)
@@ -76,8 +76,8 @@ def _mixed_around(sides: npt.NDArray[np.uint8], b: int, gd: int, gh: int, gw: in
 
 
 @njit(cache=True, nogil=True)
-def _side(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], sides: npt.NDArray[np.uint8],
-          below: npt.NDArray[np.bool_], b: int, z: int, y: int, x: int) -> np.uint8:
+def _side(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], sides: U8,
+          below: Bool, b: int, z: int, y: int, x: int) -> np.uint8:
     """The side of a voxel as a bit; 0 outside the grid."""
     u = tree_at(b, z >> 3, y >> 3, x >> 3, grid)
     if u < 0:
@@ -89,7 +89,7 @@ def _side(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], sides: n
 
 
 @njit(cache=True, nogil=True)
-def _spread(near: npt.NDArray[np.uint8], reach: int) -> npt.NDArray[np.uint8]:
+def _spread(near: U8, reach: int) -> U8:
     """Or each voxel with those within `reach`, one axis after the other; exact from `reach` off the faces."""
     size = near.shape[0]
     for _ in range(3):

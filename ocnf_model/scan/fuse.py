@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 
+from ocnf_data.arrays import F64, I64, Bool
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
@@ -30,9 +30,6 @@ from ocnf_model.evaluation.methods import Method, default_weight, parse_methods,
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.scan.region import Region, largest_object, observed
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -163,7 +160,7 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
     return FusedMesh(vertices, faces, region, fuser.resolution, seconds, scan.notes)
 
 
-def _only(vertices: F64, faces: I64, kept: npt.NDArray[np.bool_]) -> tuple[F64, I64]:
+def _only(vertices: F64, faces: I64, kept: Bool) -> tuple[F64, I64]:
     """The faces whose corners are all kept, and the vertices that they use."""
     faces = faces[kept[faces].all(axis=1)]
     used = np.unique(faces)

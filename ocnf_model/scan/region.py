@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import F32, F64, Bool
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, fuse_tsdf
 from ocnf_data.views.cameras import Views
-
-F64 = npt.NDArray[np.float64]
 
 _PADDING = 0.05  # of the cube is free on both sides together, as around the meshes of training
 _SEARCH_RESOLUTION = 128
@@ -65,7 +63,7 @@ class Region:
         """The box as `--box` takes it."""
         return "box " + " ".join(f"{c:.4g}" for c in (*self.low, *self.high))
 
-    def holds(self, points: F64) -> npt.NDArray[np.bool_]:
+    def holds(self, points: F64) -> Bool:
         """Which of the points (N, 3) lie in the box."""
         return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
 
@@ -101,7 +99,7 @@ def largest_object(views: Views | DepthPyramid) -> Region:
     return Region.of_box([*corners[0], *corners[1]])
 
 
-def observed(points: F64, views: Views, band: float) -> npt.NDArray[np.bool_]:
+def observed(points: F64, views: Views, band: float) -> Bool:
     """Which of the points (N, 3) some view has measured a surface at, to within `band` metres along its axis.
 
     What no view sees counts as solid in all methods, so that every reconstruction is closed by walls along
@@ -114,8 +112,8 @@ def observed(points: F64, views: Views, band: float) -> npt.NDArray[np.bool_]:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _mark_observed(points: F64, depth: npt.NDArray[np.float32], K: F64, R: F64, T: F64, band: float,
-                   seen: npt.NDArray[np.bool_]) -> None:
+def _mark_observed(points: F64, depth: F32, K: F64, R: F64, T: F64, band: float,
+                   seen: Bool) -> None:
     n_views, height, width = depth.shape
     for i in prange(len(points)):
         p = points[i]

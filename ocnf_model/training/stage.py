@@ -22,8 +22,8 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
     torch_version,
 )
-from ocnf_model.evaluation.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
 from ocnf_model.training.report import Reporter

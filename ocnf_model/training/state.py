@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.training.tensorfile import read_tensors, write_tensors
+from ocnf_model.tensorfile import read_tensors, write_tensors
 
 STATE: Final = "state.safetensors"
 _SCHEMA: Final = 1

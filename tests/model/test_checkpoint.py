@@ -23,7 +23,7 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
 )
 from ocnf_model.network import OctNetFusion
-from ocnf_model.training.tensorfile import read_tensors
+from ocnf_model.tensorfile import read_tensors
 
 ARCHITECTURE = Architecture(encoding="tsdf", join="concat", carry="features", output="tsdf",
                             channels=(2, 3, 4), band=1.0)

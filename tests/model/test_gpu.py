@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ocnf_model import OctNetFusion, OctreeBatch
-from ocnf_model.evaluation.metrics import mad_mm, tsdf_overlap
 from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.metrics import mad_mm, tsdf_overlap
 from ocnf_model.octree.resample import doubled
 from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
 

@@ -10,8 +10,8 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from ocnf_data.errors import OcnfError
 from ocnf_model import OctreeBatch
-from ocnf_model.evaluation.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.octree.leafmap import leaf_means
 
 few = settings(max_examples=20, deadline=None)

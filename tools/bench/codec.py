@@ -17,13 +17,14 @@ import numpy.typing as npt
 import zstandard
 from noisy_octrees import print_table, sample_octrees, timed
 
+from ocnf_data.arrays import F32, I16, U8
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import TARGET, GridOctree, decode, decode_raw, encode, quantise
 
 KINDS = [TARGET, *map(str, Encoding)]
 RESOLUTIONS = (64, 128, 256)
 LEVELS = (1, 3, 6, 9, 12)
-Layout = Callable[[npt.NDArray[np.float32], str], npt.NDArray]
+Layout = Callable[[F32, str], npt.NDArray]
 
 
 def main() -> None:
@@ -110,18 +111,18 @@ def oc_bytes(octree: GridOctree) -> int:
     return 28 + 20 * (octree.trees.size // 2) + octree.data.nbytes
 
 
-def stored(values: npt.NDArray[np.float32], kind: str) -> npt.NDArray:
+def stored(values: F32, kind: str) -> npt.NDArray:
     """The values rounded as the codec does, without the trees."""
     one_leaf_each = np.zeros((len(values), 1, 1, 2), np.uint64)
     return quantise(GridOctree(one_leaf_each, values), kind).data
 
 
-def codes(values: npt.NDArray[np.float32], kind: str) -> npt.NDArray[np.int16]:
+def codes(values: F32, kind: str) -> I16:
     """The same levels of a TSDF as integers in units of half a step."""
     return (stored(values, kind).astype(np.float32) * (2048 if kind == TARGET else 256)).astype(np.int16)
 
 
-def byte_planes(values: npt.NDArray) -> npt.NDArray[np.uint8]:
+def byte_planes(values: npt.NDArray) -> U8:
     """All low bytes, then all high bytes."""
     return np.ascontiguousarray(values.view(np.uint8).reshape(-1, 2).T)
 

@@ -7,14 +7,11 @@ pass over the volume. Gives the TSDF of SEMANTICS 2 as a dense volume; no octree
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit, prange
 
+from ocnf_data.arrays import F32, F64
 from ocnf_data.fusion import default_truncation
 from ocnf_data.views.cameras import Views
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 
 def dense_tsdf(views: Views, resolution: int, extent: float = 3.0) -> F32:

@@ -37,7 +37,7 @@ from dense_fusion import dense_tsdf
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_histogram, fuse_tsdf
-from ocnf_data.meshes.read import normalise, read_mesh
+from ocnf_data.meshes import normalise, read_mesh
 from ocnf_data.render import render_depth
 from ocnf_data.shapes import make_shape
 from ocnf_data.views.cameras import Views

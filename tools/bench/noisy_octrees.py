@@ -11,7 +11,7 @@ import numpy as np
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
-from ocnf_data.meshes.read import normalise, read_mesh
+from ocnf_data.meshes import normalise, read_mesh
 from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.render import render_depth
 from ocnf_data.shapes import make_shape

@@ -24,19 +24,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from rich.table import Column, Table
 
+from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.meshes import normalise, read_mesh
 from ocnf_data.render import render_depth
 from ocnf_data.shapes import CATEGORIES, make_shape
 from ocnf_data.views.rigs import intrinsics, look_from, published80, view_subset
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 K, SIZE = intrinsics(351.0, 351.0, 320.0, 240.0), (480, 640)
 FACES = (2_000, 40_000)

@@ -18,7 +18,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.fusion import default_truncation
 from ocnf_data.octree import TARGET
 from ocnf_model.baselines import minimise
-from ocnf_model.evaluation.metrics import grid_mad_mm
+from ocnf_model.metrics import grid_mad_mm
 
 SCALE = 1.125  # bin centres in units of l_j tau
 

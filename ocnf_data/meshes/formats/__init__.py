@@ -13,16 +13,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from ocnf_data.arrays import F64, I64
 from ocnf_data.meshes.formats.glb import parse_glb
 from ocnf_data.meshes.formats.obj import parse_obj
 from ocnf_data.meshes.formats.off import parse_off
 from ocnf_data.meshes.formats.ply import parse_ply
 from ocnf_data.meshes.formats.stl import parse_stl
 
-Parser = Callable[[bytes, str, int], tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
+Parser = Callable[[bytes, str, int], tuple[F64, I64]]
 
 
 class Format(NamedTuple):

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError
-from ocnf_data.meshes.formats.polygons import F64, I64, check_face_count, check_indices, unreadable
+from ocnf_data.meshes.formats.polygons import check_face_count, check_indices, unreadable
 
 _JSON_CHUNK = 0x4E4F534A
 _COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from ocnf_data.arrays import F64, I64, U8
 from ocnf_data.meshes.formats.polygons import (
-    F64,
-    I64,
-    U8,
     check_face_count,
     check_indices,
     fan,

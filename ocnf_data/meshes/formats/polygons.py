@@ -8,11 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ocnf_data.arrays import I32, I64, U8
 from ocnf_data.errors import OcnfError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 
 _COMMENT = re.compile(rb"#[^\n]*")
 _NEWLINE = ord("\n")
@@ -47,7 +44,7 @@ def is_blank(byte: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _tokens_per_line(text: U8) -> npt.NDArray[np.int32]:
+def _tokens_per_line(text: U8) -> I32:
     """(lines,) how many tokens stand on each line."""
     n_lines = 0
     for byte in text:

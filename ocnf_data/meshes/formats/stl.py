@@ -6,9 +6,8 @@ import re
 
 import numpy as np
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.meshes.formats.polygons import (
-    F64,
-    I64,
     check_face_count,
     parse_numbers,
     plain_text,

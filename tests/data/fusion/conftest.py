@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from ocnf_data.arrays import F64, Bool
 from ocnf_data.encodings import Encoding
 from ocnf_data.views.cameras import Views
 
-F64 = npt.NDArray[np.float64]
 TIE = 1e-8
 
 
@@ -21,7 +20,7 @@ class Dense:
     """Expected volumes and where they hang on a rounding tie."""
 
     values: dict[Encoding, F64]  # each (C, D, H, W)
-    tie: npt.NDArray[np.bool_]  # (D, H, W): a projection, z or distance within TIE of a jump
+    tie: Bool  # (D, H, W): a projection, z or distance within TIE of a jump
 
 
 def dense_fusion(views: Views, shape: tuple[int, int, int], extent: float = 3.0,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse_tsdf
-from ocnf_data.meshes.read import normalise, read_mesh
+from ocnf_data.meshes import normalise, read_mesh
 from ocnf_data.render import render_depth
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.rigs import intrinsics, look_from, published80, view_subset

@@ -10,7 +10,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 def main() -> int:
     """Generate; 130 after Ctrl-C."""
-    from ocnf_data.generation import Interrupted, generate, supervisor
+    from ocnf_data.generation import Interrupted, generate
+    from ocnf_data.generation.worker import supervisor
 
     supervisor.DEFAULT_MAKER = "fake_makers:maker"
     manifest, out, meshes, jobs = sys.argv[1:]

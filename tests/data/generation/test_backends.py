@@ -10,7 +10,7 @@ import pytest
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.generation import generate
-from ocnf_data.generation import supervisor as supervisor_module
+from ocnf_data.generation.worker import supervisor as supervisor_module
 from ocnf_data.verify.verify import verify
 
 
@@ -87,5 +87,5 @@ def test_bad_workers(define, meshes, tmp_path, fake, jobs, backend, field) -> No
 
 def test_the_real_maker_is_where_it_is_said_to_be() -> None:
     module, _, name = supervisor_module.DEFAULT_MAKER.partition(":")
-    assert Path(supervisor_module.__file__).with_name("sample.py").exists()
+    assert Path(supervisor_module.__file__).parents[1].joinpath("sample.py").exists()
     assert (module, name) == ("ocnf_data.generation.sample", "maker")

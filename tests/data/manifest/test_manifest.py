@@ -20,7 +20,8 @@ from pydantic import ValidationError
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.manifest import ABSENT, SPLITS, Entry, Manifest, difference, load_manifest
+from ocnf_data.manifest import SPLITS, Entry, Manifest, difference, load_manifest
+from ocnf_data.manifest.schema import ABSENT
 from ocnf_data.views.rigs import view_subset
 
 MANIFESTS = Path(__file__).parents[3] / "manifests"

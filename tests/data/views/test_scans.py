@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.meshes.read import Normalisation
+from ocnf_data.meshes import Normalisation
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import read_scan
 from ocnf_data.views.store import KeptViews, ViewStore

@@ -17,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.generation.fingerprint import view_fingerprint
 from ocnf_data.manifest import Manifest
 from ocnf_data.meshes import Normalisation
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.rigs import fibonacci, intrinsics, look_from
-from ocnf_data.views.store import KeptViews, ViewStore, read_kept, read_views, view_fingerprint
+from ocnf_data.views.store import KeptViews, ViewStore, read_kept
 
 SHA, PRINT = "a" * 64, "b" * 64
 
@@ -77,7 +78,7 @@ def test_on_s3(s3_url: str) -> None:
     found = ViewStore(f"{s3_url}/set/views").find("a", SHA, PRINT)
     assert found is not None
     assert_same(found, here.views)
-    assert_same(read_views(f"{s3_url}/set/views/a.h5::a"), here.views)
+    assert_same(read_kept(f"{s3_url}/set/views/a.h5::a").views, here.views)
 
 
 def test_the_fingerprint_is_of_what_is_rendered() -> None:
@@ -116,18 +117,18 @@ def test_an_exception_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: 
 def test_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     ViewStore(tmp_path).keep("k", kept())
-    assert_same(read_views("k.h5::k"), kept().views)
-    assert_same(read_views("k.h5"), kept().views)
+    assert_same(read_kept("k.h5::k").views, kept().views)
+    assert_same(read_kept("k.h5").views, kept().views)
     with h5py.File("both.h5", "w") as file, h5py.File("k.h5") as one:
         for name in ("x", "y"):
             one.copy("k", file, name)
-    assert_same(read_views("./both.h5::y"), kept().views)
+    assert_same(read_kept("./both.h5::y").views, kept().views)
     with pytest.raises(OcnfError, match=r"both\.h5.*several items"):
-        read_views("both.h5")
+        read_kept("both.h5")
     with pytest.raises(OcnfError, match="one of x, y"):
-        read_views("both.h5::z")
+        read_kept("both.h5::z")
     with pytest.raises(OcnfError, match="no such file"):
-        read_views("none.h5::k")
+        read_kept("none.h5::k")
     with pytest.raises(OcnfError, match="not an item's key"):
         ViewStore(tmp_path).find("../k", SHA, PRINT)
 

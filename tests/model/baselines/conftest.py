@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import trimesh
 from numba import njit, prange
 
+from ocnf_data.arrays import F64
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse_histogram, fuse_tsdf
 from ocnf_data.meshes import Mesh, normalise
 from ocnf_data.octree import GridOctree
@@ -20,8 +20,6 @@ from ocnf_data.shapes import make_shape
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.rigs import intrinsics, look_from, published80, view_subset
-
-F64 = npt.NDArray[np.float64]
 
 
 def gradient(u: F64) -> F64:

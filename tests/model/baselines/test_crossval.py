@@ -10,7 +10,7 @@ import pytest
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import choose_weight
-from ocnf_model.evaluation.metrics import grid_mad_mm
+from ocnf_model.metrics import grid_mad_mm
 
 
 def as_case(scan: Any) -> tuple[GridOctree, GridOctree, float]:

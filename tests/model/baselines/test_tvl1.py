@@ -21,7 +21,7 @@ from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import minimise, tvl1
 from ocnf_model.baselines.blocks import Histogram, State
 from ocnf_model.baselines.passes import dual_pass, primal_pass
-from ocnf_model.evaluation.metrics import grid_mad_mm
+from ocnf_model.metrics import grid_mad_mm
 
 WEIGHTS = [0.1, 0.3, 1.0, 3.0, 10.0]
 

@@ -16,7 +16,7 @@ from ocnf_data import ShardDataset
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import load_run, open_run
 from ocnf_model.cli import app
-from ocnf_model.evaluation.metrics import mad_mm
+from ocnf_model.metrics import mad_mm
 from ocnf_model.network import OctNetFusion
 from ocnf_model.training.batches import to_octree_batch
 from ocnf_model.training.run import train
