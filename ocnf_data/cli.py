@@ -64,8 +64,8 @@ def _options(debug: Annotated[bool, typer.Option(
     _debug = debug
 
 
-@app.command()
-def generate(
+@app.command("generate")
+def generate_command(
     manifest: Annotated[Path, typer.Argument(metavar="MANIFEST", help="What to make: a YAML file.")],
     out: Annotated[str, typer.Option(metavar="DIR", help="Where to: a folder, or an fsspec URL.")],
     jobs: Jobs,
@@ -85,12 +85,11 @@ def generate(
     the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
     when more of them failed than the manifest's limits.failure_threshold.
     """
-    from ocnf_data.generation import Interrupted
-    from ocnf_data.generation import generate as run
+    from ocnf_data.generation import Interrupted, generate
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems' way to say Ctrl-C
     try:
-        report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
+        report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     except Interrupted as stop:
         _err.print(f"[yellow]{stop}[/]", highlight=False)
         raise typer.Exit(130) from None
@@ -103,36 +102,36 @@ def generate(
         raise typer.Exit(1)
 
 
-@app.command()
-def verify(folder: Folder, jobs: Jobs) -> None:
+@app.command("verify")
+def verify_command(folder: Folder, jobs: Jobs) -> None:
     """Check every byte, count and octree of a data set.
 
     Names the shard, sample, member and offset of whatever is wrong; the exit status is then 1.
     """
-    from ocnf_data.verify.report import print_verify
-    from ocnf_data.verify.verify import verify as check
+    from ocnf_data.verify.problems import print_verify
+    from ocnf_data.verify.verify import verify
 
     with _Bar("verifying") as progress:
-        report = check(folder, jobs, progress)
+        report = verify(folder, jobs, progress)
     raise typer.Exit(print_verify(report, _out))
 
 
-@app.command()
-def info(folder: Folder) -> None:
+@app.command("info")
+def dataset_info_command(folder: Folder) -> None:
     """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
-    from ocnf_data.verify.info import describe, print_info
+    from ocnf_data.verify.summary import describe, print_summary
 
-    print_info(describe(folder), _out)
+    print_summary(describe(folder), _out)
 
 
-@app.command()
-def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
+@app.command("repair")
+def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
     A shard that comes out different from what dataset.json vouches for is an error. Nothing is deleted.
     """
     from ocnf_data.files.storage import Store
-    from ocnf_data.generation import generate as run
+    from ocnf_data.generation import generate
     from ocnf_data.generation.plan import make_plan
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
@@ -158,19 +157,19 @@ def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     for shard in lost:
         for name in quarantine(folder, shard.path):
             _out.print(f"set aside as {name}", highlight=False)
-    _out.print(run(manifest, folder, meshes, jobs).table())
+    _out.print(generate(manifest, folder, meshes, jobs).table())
 
 
-@app.command()
-def doctor() -> None:
+@app.command("doctor")
+def doctor_command() -> None:
     """Say what works on this machine, try each renderer on a known shape, and tell how to mend the rest."""
     from ocnf_data.doctor import run_doctor
 
     raise typer.Exit(run_doctor(_out))
 
 
-@app.command()
-def watertight(
+@app.command("watertight")
+def watertight_command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],
     jobs: Jobs,

@@ -46,9 +46,9 @@ _LIBRARIES = {
     "cluster": ("distributed", "ray"),
 }
 
-# Box of the probe, metres: its half sides, and its faces with windings as mixed as real meshes have them.
-_HALF_SIDES = np.array([0.5, 0.3, 0.7])
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * _HALF_SIDES
+# Box of the probe, metres: its half sizes, and its faces with windings as mixed as real meshes have them.
+_HALF_SIZES = np.array([0.5, 0.3, 0.7])
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * _HALF_SIZES
 _FACES = np.array([
     (0, 1, 3), (0, 3, 2), (4, 5, 7), (4, 6, 7), (0, 1, 5), (0, 5, 4),
     (2, 3, 7), (2, 6, 7), (0, 2, 6), (0, 6, 4), (1, 3, 7), (1, 7, 5),
@@ -249,7 +249,7 @@ def _box_depth(
     for i in range(len(R)):
         origin, directions = -R[i].T @ T[i], rays @ R[i]
         with np.errstate(divide="ignore"):
-            planes = np.stack([(side * _HALF_SIDES - origin) / directions for side in (-1, 1)])
+            planes = np.stack([(sign * _HALF_SIZES - origin) / directions for sign in (-1, 1)])
         enter, leave = planes.min(axis=0).max(axis=-1), planes.max(axis=0).min(axis=-1)
         depth[i] = np.where(enter <= leave, enter, np.inf)
     return depth

@@ -22,7 +22,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
 from ocnf_data.files.storage import Store, storage_errors
-from ocnf_data.files.validation import Int, Real, Strict, validate
+from ocnf_data.files.validation import Int, Positive, Real, Strict, validate
 from ocnf_model.network import Carry, Join, OctNetFusion, Output
 from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
 
@@ -30,7 +30,6 @@ CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"
 _PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
 
-Positive = Annotated[Int, Field(ge=1)]
 
 
 class Architecture(Strict):
@@ -48,7 +47,7 @@ class Architecture(Strict):
         return OctNetFusion(levels=levels, checkpointing=checkpointing, **self.model_dump())
 
 
-class DataFacts(Strict):
+class TrainingData(Strict):
     """What was trained on: enough to refuse data whose values mean something else.
 
     Attributes:
@@ -56,7 +55,7 @@ class DataFacts(Strict):
         checksum: of its `dataset.json`.
         variant: name of the inputs.
         n_train, n_val: samples.
-        extent: side of the cube in metres.
+        extent: edge length of the cube in metres.
         truncation_voxels: tau, in voxels of any resolution.
     """
 
@@ -79,7 +78,7 @@ class Header(Strict):
     Attributes:
         schema_version: of the format.
         level: from 1.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
         metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
         settings: of the run, those that the weights depend on.
@@ -91,7 +90,7 @@ class Header(Strict):
     level: Positive
     resolution: Positive
     architecture: Architecture
-    data: DataFacts
+    data: TrainingData
     epoch: Positive
     steps: Positive
     metrics: dict[str, Real]
@@ -120,11 +119,11 @@ class TrainedRun:
 
     @property
     def resolutions(self) -> list[int]:
-        """Voxels a side of each level."""
+        """Voxels along each axis of each level."""
         return [header.resolution for header in self.headers]
 
     @property
-    def data(self) -> DataFacts:
+    def data(self) -> TrainingData:
         """What the last level was trained on."""
         return self.headers[-1].data
 

@@ -6,7 +6,6 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from ocnf_data.terminal import run_app
+from ocnf_model.evaluation.methods import Method
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
@@ -22,14 +22,6 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 _out = Console(emoji=False)
 _err = Console(stderr=True, emoji=False)
 _debug = False
-
-
-class Method(StrEnum):
-    """How depth is fused."""
-
-    OURS = "ours"
-    TVL1 = "tvl1"
-    VOLFUS = "volfus"
 
 
 Run = Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, or `pretrained`.")]
@@ -44,8 +36,8 @@ def _options(debug: Annotated[bool, typer.Option(
     _debug = debug
 
 
-@app.command()
-def train(
+@app.command("train")
+def train_command(
     data: Data,
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
     levels: Annotated[int | None, typer.Option(min=1, help="Resolutions, coarse to fine. [3]")] = None,
@@ -89,7 +81,7 @@ def train(
     `torchrun --nproc-per-node N -m ocnf_model.cli train ...` trains on N GPUs.
     """
     from ocnf_model.training.options import merge_options
-    from ocnf_model.training.run import train as run
+    from ocnf_model.training.run import train
 
     chosen = merge_options(
         settings,
@@ -100,7 +92,7 @@ def train(
          "learning_rate": learning_rate, "decay": decay},
         channels)
     try:
-        run(data, out, chosen, device=device, console=_err)
+        train(data, out, chosen, device=device, console=_err)
     except KeyboardInterrupt:
         _err.print(f"[yellow]stopped; the same command goes on in {escape(str(out))}[/]", highlight=False)
         raise typer.Exit(130) from None
@@ -108,16 +100,16 @@ def train(
         _out.print(f"trained: {escape(str(out))}", highlight=False)
 
 
-@app.command()
-def info(run: Run) -> None:
+@app.command("info")
+def run_info_command(run: Run) -> None:
     """Show a network's layers, shapes and parameters, and how it was trained."""
-    from ocnf_model.info import print_info
+    from ocnf_model.info import print_run
 
-    print_info(run, _out)
+    print_run(run, _out)
 
 
-@app.command()
-def evaluate(
+@app.command("evaluate")
+def evaluate_command(
     run: Run,
     data: Data,
     split: Annotated[str, typer.Option(help="Of the data set.")] = "test",
@@ -139,8 +131,8 @@ def evaluate(
                  limit=limit, n_figures=figures, up=up, console=_out)
 
 
-@app.command()
-def choose_weight(
+@app.command("choose-weight")
+def choose_weight_command(
     data: Data,
     out: Annotated[Path, typer.Option(
         metavar="FILE", help="Where the weights go; `evaluate` finds RUN/tvl1.json by itself.")],
@@ -153,17 +145,17 @@ def choose_weight(
                               "[0.4,0.64,1,1.6,2.5,4,6.4]")] = None,
 ) -> None:
     """Choose TV-L1's weight by cross-validation: the least MAD, for each resolution and input variant."""
-    from ocnf_model.evaluation.weights import DEFAULT_WEIGHTS, run_choose_weight
-    from ocnf_model.training.options import parse_numbers
+    from ocnf_model.evaluation.weights import CANDIDATE_WEIGHTS, run_choose_weight
+    from ocnf_model.training.options import parse_list
 
-    grid = DEFAULT_WEIGHTS if weights is None else parse_numbers("weights", weights)
+    grid = CANDIDATE_WEIGHTS if weights is None else parse_list("weights", weights)
     run_choose_weight(data, out=out, resolutions=resolution, n_models=models, split=split, weights=grid,
                       console=_out)
     _out.print(f"The weights are in {escape(str(out))}", highlight=False, soft_wrap=True)
 
 
-@app.command()
-def fuse(
+@app.command("fuse")
+def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(
         metavar="SCAN", help="Depth with poses: `views.h5::KEY`, or a folder of frames.")],

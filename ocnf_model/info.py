@@ -16,7 +16,7 @@ from ocnf_model.ops import OctreeConv3d
 _HALVINGS = {"down2": 1, "bottom": 2, "up2": 1}
 
 
-def print_info(run: str | Path, console: Console) -> None:
+def print_run(run: str | Path, console: Console) -> None:
     """Print layers, shapes and parameters of a run's network, and its training.
 
     Raises:
@@ -33,7 +33,7 @@ def print_info(run: str | Path, console: Console) -> None:
     trained = open_run(folder)
     console.print(layer_table(trained.network, trained.resolutions))
     console.print(training_table(trained))
-    for line in _facts(trained.headers[-1]):
+    for line in _describe_training(trained.headers[-1]):
         console.print(line, highlight=False, markup=False)
 
 
@@ -53,8 +53,8 @@ def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
             table.add_section()
             level_before = level
         out, into = module.weight.shape[:2]
-        side = resolutions[int(level)] >> _HALVINGS.get(block, 0)
-        table.add_row(name, f"{side}³", f"{into} -> {out}", "x".join(map(str, module.weight.shape)),
+        resolution = resolutions[int(level)] >> _HALVINGS.get(block, 0)
+        table.add_row(name, f"{resolution}³", f"{into} -> {out}", "x".join(map(str, module.weight.shape)),
                       f"{sum(parameter.numel() for parameter in module.parameters()):,}")
     return table
 
@@ -71,7 +71,7 @@ def training_table(trained: TrainedRun) -> Table:
     return table
 
 
-def _facts(header: Header) -> list[str]:
+def _describe_training(header: Header) -> list[str]:
     data, architecture = header.data, header.architecture
     variant = "" if data.variant is None else f", inputs {data.variant}"
     return [

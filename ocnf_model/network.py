@@ -17,7 +17,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
 
-Choice = TypeVar("Choice", bound=StrEnum)
+_Choice = TypeVar("_Choice", bound=StrEnum)
 
 
 class Join(StrEnum):
@@ -192,7 +192,7 @@ class OctNetFusion(nn.Module):
         """The reconstruction of each level, TSDF / tau or probability of occupancy, on its own structure.
 
         Args:
-            inputs: encodings, coarse to fine, each twice the resolution of the one before, sides multiples
+            inputs: encodings, coarse to fine, each twice the resolution of the one before, shapes multiples
                 of 32 voxels; one for each level, or for the first few of them.
 
         Raises:
@@ -263,13 +263,13 @@ class OctNetFusion(nn.Module):
             if encoded.channels != self.encoding.channels:
                 raise OcnfError("wrong channels", where="OctNetFusion", field=field, found=encoded.channels,
                                 expected=f"{self.encoding.channels} for {self.encoding}")
-            size = tuple(side << level for side in inputs[0].shape)
+            size = tuple(n << level for n in inputs[0].shape)
             if encoded.shape != size or encoded.batch_size != inputs[0].batch_size:
                 raise OcnfError("sizes do not fit", where="OctNetFusion", field=field,
                                 found=encoded.structure.describe(),
                                 expected=f"{inputs[0].batch_size} of {'x'.join(map(str, size))}")
-        if any(side % 32 for side in inputs[0].shape):
-            raise OcnfError("two poolings need sides that are multiples of 32", where="OctNetFusion",
+        if any(n % 32 for n in inputs[0].shape):
+            raise OcnfError("two poolings need shapes that are multiples of 32", where="OctNetFusion",
                             field="inputs[0]", found=inputs[0].structure.describe())
 
 
@@ -288,7 +288,7 @@ def _n_parameters(module: nn.Module) -> int:
     return sum(parameter.numel() for parameter in module.parameters())
 
 
-def _choice(kind: type[Choice], field: str, value: str) -> Choice:
+def _choice(kind: type[_Choice], field: str, value: str) -> _Choice:
     if value not in tuple(kind):
         raise OcnfError("no such setting", where="OctNetFusion", field=field, found=value,
                         expected=" or ".join(kind))

@@ -34,7 +34,7 @@ from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.octree.codec import decode_raw, encode
 from ocnf_data.shards.dataset import DatasetInfo
 from ocnf_data.shards.index import ShardIndex, index_from_tar, read_facts
-from ocnf_data.shards.tarformat import BLOCK, make_header, parse_header
+from ocnf_data.shards.tarformat import BLOCK, make_header, parse_tar_header
 
 GOLDEN = Path(__file__).parent.parent / "tests" / "data" / "shards" / "golden-v1"
 MAX_BYTES = 1 << 16
@@ -111,7 +111,7 @@ def targets() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
         "octree content": (read_wrapped, [unwrap(blob) for blob in blobs.values()]),
         ".oc file": (read_as_file, [published]),
         "tar": (read_tar, [tar]),
-        "tar header": (lambda data: void(parse_header(data)), [tar[:BLOCK]]),
+        "tar header": (lambda data: void(parse_tar_header(data)), [tar[:BLOCK]]),
         "json member": (lambda data: void(read_facts(data, "fuzz")), [facts]),
         "json member in a tar": (read_member, [facts]),
         "index": (lambda data: void(ShardIndex.from_json(data, "fuzz")), [index]),

@@ -13,11 +13,12 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from ocnf_data.errors import OcnfError
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 M = TypeVar("M", bound=BaseModel)
 
 # Strict: YAML knows numbers from strings and truth values, and `views: true` is a slip, not 1.
 Int = Annotated[int, Field(strict=True)]
+Positive = Annotated[int, Field(strict=True, ge=1)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 _REPR = reprlib.Repr()
@@ -54,7 +55,7 @@ def refuse_repeats(names: Sequence[str], at: str = "", after: str = "") -> None:
                           expected=f"each once (it is also number {names.index(name)}, counted from 0)")
 
 
-def _some(value: tuple[T, ...]) -> tuple[T, ...]:
+def _some(value: tuple[_T, ...]) -> tuple[_T, ...]:
     if not value:
         raise refused("the list is empty", found=[], expected="at least one")
     return value

@@ -16,28 +16,28 @@ N_FREE, N_OPEN, STATE = range(3)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sift(
-    cameras: F64, windows: F32, levels: I64, size: tuple[int, int], near: float, far: float,
-    one_is_enough: bool, z: int, y: int, x: int, side: int, views: I32, n_views: int, n_free: int,
+def cull(
+    cameras: F64, windows: F32, levels: I64, size: tuple[int, int], hidden_below: float, free_from: float,
+    one_is_enough: bool, z: int, y: int, x: int, cube_width: int, views: I32, n_views: int, n_free: int,
     footprint: F64, open_views: I32, tally: I32,
 ) -> None:
-    """Sort the views that are open for a cube at (z, y, x) into those of its eight parts, `side` voxels each.
+    """Sort the views that are open for a cube at (z, y, x) into those of its eight parts.
 
     A part is settled if no view is open for it, or if some view says FREE and no view comes near a surface:
     an open view could then only say FREE as well.
 
     Args:
-        cameras: (V, 14), see `frames.grid_cameras`.
+        cameras: (V, 14), see `projection.grid_cameras`.
         windows: (V, n_entries, 3), the DepthPyramid's.
         levels: the DepthPyramid's.
         size: image size (H, W).
-        near: metres, see `classify`.
-        far: metres, see `classify`.
+        hidden_below: metres, see `classify`.
+        free_from: metres, see `classify`.
         one_is_enough: whether one FREE view settles a part by itself.
         z: first voxel of the cube.
         y: first voxel of the cube.
         x: first voxel of the cube.
-        side: of a part, in voxels.
+        cube_width: voxels along each axis of a part.
         views: those open for the cube, in ascending order, each `2 * view + edge`.
         n_views: how many they are.
         n_free: how many more say FREE about all of the cube.
@@ -50,11 +50,11 @@ def sift(
         tally[k, N_FREE], tally[k, N_OPEN] = n_free, 0
     for n in range(n_views):
         view = views[n] >> 1
-        footprints(cameras[view], size, z, y, x, side, footprint)
+        footprints(cameras[view], size, z, y, x, cube_width, footprint)
         for k in range(8):
             if one_is_enough and tally[k, N_FREE] > 0:
                 continue
-            found = classify(footprint, k, windows[view], levels, size, near, far)
+            found = classify(footprint, k, windows[view], levels, size, hidden_below, free_from)
             if found == FREE:
                 tally[k, N_FREE] += 1
             elif found != NOTHING:

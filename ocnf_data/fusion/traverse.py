@@ -19,12 +19,12 @@ from ocnf_data.fusion.accumulate import (
     add_sight,
     add_tsdf,
     add_votes,
-    finish,
     project,
     project_edge,
     read,
+    write_cell,
 )
-from ocnf_data.fusion.cull import MIXED, N_FREE, N_OPEN, STATE, sift
+from ocnf_data.fusion.cull import MIXED, N_FREE, N_OPEN, STATE, cull
 from ocnf_data.octree.bits import MAX_LEAVES, pack_block
 
 ROOT = 32
@@ -35,20 +35,21 @@ ROOT_TREES = ROOT // 8
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fuse_row(
-    kind: int, cameras: F64, offsets: F64, depth: F32, windows: F32, levels: I64, near: float, far: float,
-    truncation: float, tolerance: float, constants: F32, root_z: int, root_y: int, trees: U64, counts: I32,
+    kind: int, cameras: F64, offsets: F64, depth: F32, windows: F32, levels: I64, hidden_below: float,
+    free_from: float, truncation: float, tolerance: float, constants: F32, root_z: int, root_y: int,
+    trees: U64, counts: I32,
 ) -> F32:
     """Fuse the row of root cubes (root_z, root_y, all x).
 
     Args:
         kind: what to accumulate, one of accumulate's TSDF, TDF_OCCUPANCY, HISTOGRAM, OCCUPANCY.
-        cameras: (V, 14), `frames.grid_cameras`.
-        offsets: (V, 3, 64), `frames.cell_offsets`.
+        cameras: (V, 14), `projection.grid_cameras`.
+        offsets: (V, 3, 64), `projection.cell_offsets`.
         depth: (V, H, W) float32.
         windows: (V, n_entries, 3), the DepthPyramid's.
         levels: the DepthPyramid's.
-        near: metres, see `classify`.
-        far: metres, see `classify`.
+        hidden_below: metres, see `classify`.
+        free_from: metres, see `classify`.
         truncation: tau in metres; for OCCUPANCY the threshold.
         tolerance: of the split rule, in the units of the values.
         constants: (2, C) float32, the values of a free voxel and of an unseen one.
@@ -76,14 +77,15 @@ def fuse_row(
     leaves = np.empty((ROOT_TREES**3 * MAX_LEAVES * n_roots, constants.shape[1]), np.float32)
     n_leaves = 0
     for root_x in range(n_roots):
-        sift(cameras, windows, levels, size, near, far, one_is_enough, ROOT * root_z, ROOT * root_y,
-             ROOT * root_x, 16, everything, n_views, 0, footprint, open16, tally16)
+        cull(cameras, windows, levels, size, hidden_below, free_from, one_is_enough, ROOT * root_z,
+             ROOT * root_y, ROOT * root_x, 16, everything, n_views, 0, footprint, open16, tally16)
         for k in range(64):
             part, tree = k >> 3, k & 7
             gz, gy, gx = tree_of_root(root_z, root_y, root_x, k)
             if tree == 0 and tally16[part, STATE] == MIXED:
-                sift(cameras, windows, levels, size, near, far, one_is_enough, 8 * gz, 8 * gy, 8 * gx, 8,
-                     open16[part], tally16[part, N_OPEN], tally16[part, N_FREE], footprint, open8, tally8)
+                cull(cameras, windows, levels, size, hidden_below, free_from, one_is_enough, 8 * gz, 8 * gy,
+                     8 * gx, 8, open16[part], tally16[part, N_OPEN], tally16[part, N_FREE], footprint, open8,
+                     tally8)
             if gz >= gd or gy >= gh or gx >= gw:
                 continue
             state = tally16[part, STATE]
@@ -94,8 +96,9 @@ def fuse_row(
                 counts[gz, gy, gx] = 1
                 n_leaves += 1
                 continue
-            sift(cameras, windows, levels, size, near, far, one_is_enough, 8 * gz, 8 * gy, 8 * gx, 4,
-                 open8[tree], tally8[tree, N_OPEN], tally8[tree, N_FREE], footprint, open4, tally4)
+            cull(cameras, windows, levels, size, hidden_below, free_from, one_is_enough, 8 * gz, 8 * gy,
+                 8 * gx, 4, open8[tree], tally8[tree, N_OPEN], tally8[tree, N_FREE], footprint, open4,
+                 tally4)
             for cell in range(8):
                 dz, dy, dx = 4 * (cell >> 2), 4 * (cell >> 1 & 1), 4 * (cell & 1)
                 block = values[dz : dz + 4, dy : dy + 4, dx : dx + 4]
@@ -153,7 +156,7 @@ def _fuse_cell(
             add_votes(measured, depths, truncation, votes, seen)
         else:
             add_tsdf(measured, depths, truncation, totals, seen)
-    finish(kind, totals, votes, seen, n_free, block)
+    write_cell(kind, totals, votes, seen, n_free, block)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

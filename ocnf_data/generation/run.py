@@ -18,16 +18,16 @@ from rich.console import Console
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.storage import Store
-from ocnf_data.generation.backends import finish
+from ocnf_data.generation.backends import run_tasks
 from ocnf_data.generation.fingerprint import view_fingerprint
+from ocnf_data.generation.outcome import Report
 from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
-from ocnf_data.generation.report import Report
 from ocnf_data.generation.resume import adopt
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
 from ocnf_data.generation.worker import supervisor
-from ocnf_data.generation.worker.supervisor import ChildSetup, Limits
+from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.shards.dataset import (
     DATASET,
@@ -104,7 +104,7 @@ def generate(
                            views=None if views is None else Store(views).url,
                            keep_views=store.where(VIEWS) if manifest.views == "keep" else None,
                            maker=supervisor.DEFAULT_MAKER)
-        limits = Limits(item_seconds=manifest.limits.timeout_s)
+        limits = ChildLimits(item_seconds=manifest.limits.timeout_s)
         made = _make_missing(store, plan, setup, limits, jobs, backend, console, done)
         info, failures = _account(store, plan, manifest, done)
         if before is not None:
@@ -151,7 +151,7 @@ def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, Shar
     return {one.shard.name: one for one in found if one is not None and not (retry_failed and one.failures)}
 
 
-def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: Limits, jobs: int, backend: str,
+def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: ChildLimits, jobs: int, backend: str,
                   console: Console, done: dict[str, ShardDone]) -> int:
     """Make the shards that are not in `done` and add them; returns how many items they have."""
     left = [shard for shard in plan.shards if shard.name not in done]
@@ -161,7 +161,7 @@ def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: Limits, j
             display = ProgressDisplay(n_items, live, console)
             where = None if live is None else str(live)
             tasks = [ShardTask(store.url, shard, setup, limits, where) for shard in left]
-            with display.shown(), contextlib.closing(finish(tasks, jobs, backend)) as finished:
+            with display.shown(), contextlib.closing(run_tasks(tasks, jobs, backend)) as finished:
                 for one in finished:
                     done[one.shard.name] = one
                     display.shard_finished(one.shard.name, len(one.shard.items), len(one.failures))

@@ -107,7 +107,7 @@ def make_sample(
                     octree = fuse(pyramid, encoding, resolution, manifest.normalise.extent,
                                   manifest.truncation(resolution))
                 add(input_member(variant.name, encoding, resolution), octree, encoding)
-    facts = _facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
+    facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
     return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
 
 
@@ -191,7 +191,7 @@ class Noise:
         return self._drawn[view]
 
 
-def _facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
+def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
            leaf_counts: dict[str, int]) -> dict[str, Any]:
     """The sample's `json` member. Lengths are in metres, pixels where they say so."""
     camera = manifest.camera

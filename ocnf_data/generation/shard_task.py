@@ -16,7 +16,7 @@ from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.progress import LiveCount
 from ocnf_data.generation.records import Failure, Item, Sample, ShardPlan
-from ocnf_data.generation.worker.supervisor import ChildSetup, Limits, supervisor_of_this_thread
+from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup, supervisor_of_this_thread
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.index import ShardIndex, index_path
 from ocnf_data.shards.writer import ShardWriter, find_complete
@@ -36,7 +36,7 @@ class ShardTask:
     out: str
     shard: ShardPlan
     setup: ChildSetup
-    limits: Limits
+    limits: ChildLimits
     live: str | None = None
 
 

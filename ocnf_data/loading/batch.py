@@ -80,7 +80,7 @@ class Slot:
 
     Attributes:
         member: name of the member they come from.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         kind: an `Encoding` or "target".
         n_leaves: of each sample.
         trees_at: first byte.
@@ -95,8 +95,8 @@ class Slot:
     @property
     def trees_shape(self) -> tuple[int, ...]:
         """(B, GD, GH, GW, 2)."""
-        side = self.resolution // TREE_WIDTH
-        return len(self.n_leaves), side, side, side, 2
+        n = self.resolution // TREE_WIDTH
+        return len(self.n_leaves), n, n, n, 2
 
     @property
     def data_shape(self) -> tuple[int, int]:

@@ -33,7 +33,7 @@ class Request:
 
     Attributes:
         split: `train`, `val`, `test`, ...
-        resolutions: voxels a side, each once.
+        resolutions: voxels along each axis, each once.
         encoding: of the inputs; None for no inputs.
         variant: of the inputs; None for the only one that there is.
         categories: None for all.

@@ -24,23 +24,23 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import (
+    OnError,
+    bad_setting,
+    fraction,
+    names,
+    one_of,
+    parse_resolutions,
+    place_among_ranks,
+    whole,
+)
 from ocnf_data.loading.assemble import Assembler, Lost
 from ocnf_data.loading.augment import Augment
 from ocnf_data.loading.batch import Batch, Octrees, make_batch
 from ocnf_data.loading.catalogue import Request, open_catalogue
 from ocnf_data.loading.cursor import Cursor, Identity, Position
+from ocnf_data.loading.loader_state import make_state, read_state
 from ocnf_data.loading.order import Partition, Uneven, epoch_order
-from ocnf_data.loading.settings import (
-    OnError,
-    bad_setting,
-    names,
-    one_of,
-    place_among_ranks,
-    share,
-    sides,
-    whole,
-)
-from ocnf_data.loading.state import make_state, read_state
 
 __all__ = ["Batch", "Lost", "Octrees", "ShardDataset"]
 
@@ -51,7 +51,7 @@ class ShardDataset(IterableDataset[Batch]):
     Args:
         urls: folder or fsspec URL of a data set, or several of them, taken as one.
         split: `train`, `val` or `test`.
-        resolutions: which of them, voxels a side; only these are read and decoded.
+        resolutions: which of them, voxels along each axis; only these are read and decoded.
         encoding: of the inputs (`occupancy`, `tsdf`, `tdf_occupancy`, `histogram`); None for no inputs.
         variant: name of the inputs in the manifest; None for the only one that has the encoding.
         seed: of order and augmentation; 0 is a seed like any other.
@@ -111,7 +111,7 @@ class ShardDataset(IterableDataset[Batch]):
     ) -> None:
         request = Request(
             split=split,
-            resolutions=sides(resolutions),
+            resolutions=parse_resolutions(resolutions),
             encoding=None if encoding is None else one_of(Encoding, "encoding", encoding),
             variant=variant,
             categories=None if categories is None else names("categories", categories),
@@ -131,7 +131,7 @@ class ShardDataset(IterableDataset[Batch]):
         rank, world_size = place_among_ranks(rank, world_size, running)
         self._augment = one_of(Augment, "augment", augment)
         policy = one_of(OnError, "on_error", on_error)
-        bad_share = share("max_bad_fraction", max_bad_fraction)
+        bad_share = fraction("max_bad_fraction", max_bad_fraction)
         batch_size = whole("batch_size", batch_size, least=1)
 
         self._catalogue = open_catalogue(names("urls", urls), request)

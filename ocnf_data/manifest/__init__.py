@@ -6,6 +6,6 @@ Each gives its `entries` in a fixed order; none may name the same mesh twice, in
 """
 
 from ocnf_data.manifest.entries import SPLITS, Entry
-from ocnf_data.manifest.schema import Manifest, Target, Variant, difference, load_manifest
+from ocnf_data.manifest.schema import Manifest, Target, Variant, load_manifest, manifest_difference
 
-__all__ = ["SPLITS", "Entry", "Manifest", "Target", "Variant", "difference", "load_manifest"]
+__all__ = ["SPLITS", "Entry", "Manifest", "Target", "Variant", "load_manifest", "manifest_difference"]

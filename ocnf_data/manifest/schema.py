@@ -5,7 +5,7 @@
 (4, 0.025)
 
 Every field but `name`, `source` and `inputs` has a default, the paper's setting. `to_dict` fills them all in:
-that is what a data set records about itself, and what `difference` compares before a run resumes.
+that is what a data set records about itself, and what `manifest_difference` compares before a run resumes.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Target(StrEnum):
 
 
 class Normalise(Strict):
-    """How a mesh is placed: its bounding box centred, its longest side `(1 - padding) * extent`."""
+    """How a mesh is placed: its bounding box centred, its longest edge `(1 - padding) * extent`."""
 
     extent: Annotated[Real, Field(gt=0, le=1e3)] = 3.0
     """Side of the grid's cube in metres."""
@@ -286,7 +286,7 @@ class _Absent:
 ABSENT = _Absent()
 
 
-def difference(before: Manifest | Mapping[str, Any], now: Manifest | Mapping[str, Any],
+def manifest_difference(before: Manifest | Mapping[str, Any], now: Manifest | Mapping[str, Any],
                ignore: Sequence[str] = ("source.root",)) -> list[Difference]:
     """The fields in which two manifests (or what `to_dict` gave for them) differ.
 

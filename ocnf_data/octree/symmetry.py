@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ocnf_data.arrays import I64, Bool
+from ocnf_data.arrays import I64, Bool, Prefix, TreeArray
 from ocnf_data.octree.bits import child_bits, is_split, leaf_prefix, popcount, splits_below, with_split
-from ocnf_data.octree.dense import Prefix, TreeArray
 from ocnf_data.octree.grid import GridOctree
 from ocnf_data.octree.stored import RawOctree
 

@@ -9,7 +9,7 @@ from typing import IO
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import sha256_hex
 from ocnf_data.shards.index import Member
-from ocnf_data.shards.tarformat import BLOCK, TRAILER, make_header, padding, parse_header, tar_name
+from ocnf_data.shards.tarformat import BLOCK, TRAILER, make_header, padding, parse_tar_header, tar_name
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def end_faults(end: bytes, size: int) -> Iterator[Fault]:
 def _describe(header: bytes) -> str:
     """What a wrong header is, in words."""
     try:
-        key, member, size = parse_header(header)
+        key, member, size = parse_tar_header(header)
     except OcnfError as error:
         return f"a damaged one ({error})"
     return f"that of {tar_name(key, member)} with {size} bytes"

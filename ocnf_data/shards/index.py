@@ -30,7 +30,7 @@ from ocnf_data.shards.tarformat import (
     check_member,
     max_size,
     padding,
-    parse_header,
+    parse_tar_header,
     stored_size,
     tar_name,
 )
@@ -113,7 +113,7 @@ class ShardIndex(Record):
                         where=shard_path(self.split, self.shard))
 
 
-class Facts(BaseModel):
+class SampleFacts(BaseModel):
     """What the index takes from a sample's `json` member; the member may hold more."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
@@ -124,10 +124,10 @@ class Facts(BaseModel):
     leaf_counts: dict[str, LeafCount]
 
 
-def read_facts(payload: bytes, where: object) -> Facts:
+def read_facts(payload: bytes, where: object) -> SampleFacts:
     """Key, category, source and leaf counts out of a `json` member."""
     try:
-        return Facts.model_validate_json(payload)
+        return SampleFacts.model_validate_json(payload)
     except ValidationError as error:
         problem = error.errors(include_url=False, include_context=False)[0]
         raise OcnfError(f"the sample's json member is not as it should be: {problem['msg']}", code="json",
@@ -259,7 +259,7 @@ def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, tuple
         if block == TRAILER[:BLOCK]:
             break
         try:
-            key, name, size = parse_header(block)
+            key, name, size = parse_tar_header(block)
         except OcnfError as error:
             raise OcnfError(error.what, code=error.code, where=where, field=f"header at byte {start}",
                             found=error.found, expected=error.expected) from None

@@ -14,9 +14,9 @@ from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.faults import Fault, end_faults, member_faults, read_member
 from ocnf_data.shards.index import (
     MAX_INDEX_BYTES,
-    Facts,
     Member,
     SampleEntry,
+    SampleFacts,
     ShardIndex,
     index_from_tar,
     index_path,
@@ -24,7 +24,7 @@ from ocnf_data.shards.index import (
     shard_path,
 )
 from ocnf_data.shards.tarformat import JSON, TRAILER, parse_member
-from ocnf_data.verify.report import Problem
+from ocnf_data.verify.problems import Problem
 
 
 @dataclass
@@ -139,7 +139,7 @@ def _check_payload(sample: SampleEntry, member: Member, payload: bytes, report: 
     try:
         if member.name == JSON:
             facts = read_facts(payload, f"{sample.key}.{JSON}")
-            if facts != Facts(**sample.model_dump(exclude={"members"})):
+            if facts != SampleFacts(**sample.model_dump(exclude={"members"})):
                 add("json", "key, category, source or leaf counts are not those of the index")
             return
         _, encoding, resolution = parse_member(member.name)

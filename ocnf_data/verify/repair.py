@@ -14,7 +14,7 @@ from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.index import index_path, is_shard, shard_path
 from ocnf_data.shards.reader import rebuild_index
-from ocnf_data.verify.report import Problem
+from ocnf_data.verify.problems import Problem
 from ocnf_data.verify.verify import verify
 
 QUARANTINE = "quarantine"

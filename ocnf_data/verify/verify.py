@@ -19,7 +19,7 @@ from ocnf_data.shards.index import index_path, is_shard, shard_path
 from ocnf_data.shards.writer import file_sha256
 from ocnf_data.verify.account import check_account
 from ocnf_data.verify.check import ShardReport, check_shard
-from ocnf_data.verify.report import VerifyReport
+from ocnf_data.verify.problems import VerifyReport
 
 _FREE = (".", "failures/", "quarantine/", "timings/", "views/")
 _Shard: TypeAlias = tuple[str, str, ShardEntry | None]  # split, shard, what dataset.json says of it

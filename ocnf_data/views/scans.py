@@ -44,7 +44,7 @@ class Scan:
     Attributes:
         views: depth in metres, 0 where there is no measurement.
         names: of the V frames.
-        cube: (centre (x, y, z), side) in metres of the space that the views were made for, where it is known.
+        cube: (centre (x, y, z), size) in metres of the space that the views were made for, where it is known.
         notes: what was left out, a sentence each.
     """
 

@@ -6,15 +6,15 @@ import numpy as np
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.fusion import DepthPyramid, Origin, Resolution, fuse_tsdf
+from ocnf_data.fusion import Centre, DepthPyramid, Resolution, fuse_tsdf
 from ocnf_data.octree import GridOctree
 from ocnf_data.views.cameras import Views
 
 
 def volfus(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,
-           truncation: float | None = None, *, origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
+           truncation: float | None = None, *, centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """TSDF / tau in [-1, 1], 1 channel, of noisy views; arguments as for `ocnf_data.fuse_tsdf`."""
-    return fuse_tsdf(views, resolution, extent, truncation, origin=origin)
+    return fuse_tsdf(views, resolution, extent, truncation, centre=centre)
 
 
 def volfus_from_encoding(octree: GridOctree, encoding: Encoding) -> GridOctree:

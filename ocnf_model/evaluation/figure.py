@@ -31,18 +31,19 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
     except ImportError as error:
         raise OcnfError("the figure needs matplotlib", code="missing_extra",
                         fix="pip install 'ocnf[generate]'") from error
-    sides = sorted({side for side, _ in surfaces})
+    resolutions = sorted({resolution for resolution, _ in surfaces})
     methods = sorted(dict.fromkeys(method for _, method in surfaces), key=lambda method: method == TRUTH)
-    frame = surfaces[sides[-1], TRUTH][0]
+    frame = surfaces[resolutions[-1], TRUTH][0]
     if not len(frame):
         frame = np.array([[-1.5] * 3, [1.5] * 3])
-    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, _INCHES * len(sides) + 0.6), dpi=150)
-    axes = figure.subplots(len(sides), len(methods), squeeze=False)
-    for row, side in enumerate(sides):
+    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, _INCHES * len(resolutions) + 0.6), dpi=150)
+    axes = figure.subplots(len(resolutions), len(methods), squeeze=False)
+    for row, resolution in enumerate(resolutions):
         for column, method in enumerate(methods):
             ax = axes[row, column]
-            if (side, method) in surfaces:
-                ax.imshow(shade(*surfaces[side, method], size=_PIXELS, up=up, frame=frame, supersample=2),
+            if (resolution, method) in surfaces:
+                ax.imshow(shade(*surfaces[resolution, method], size=_PIXELS, up=up, frame=frame,
+                                supersample=2),
                           interpolation="lanczos")
             ax.set_xticks([])
             ax.set_yticks([])
@@ -50,7 +51,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
             if row == 0:
                 ax.set_title(method, fontsize=11)
             if column == 0:
-                ax.set_ylabel(f"{side}³", fontsize=11)
+                ax.set_ylabel(f"{resolution}³", fontsize=11)
     figure.suptitle(title, fontsize=11)
     figure.tight_layout(pad=0.3, rect=(0, 0, 1, 1 - 0.3 / figure.get_figheight()))
     picture = io.BytesIO()

@@ -16,8 +16,9 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_model.baselines import tvl1
-from ocnf_model.evaluation.methods import Method, run_levels, stored_volfus
-from ocnf_model.evaluation.models import Facts, Model, Plan
+from ocnf_model.evaluation.levels import run_levels, stored_volfus
+from ocnf_model.evaluation.methods import Method
+from ocnf_model.evaluation.models import DatasetFacts, Model, VariantPlan
 from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
@@ -34,7 +35,7 @@ class Row:
     Attributes:
         key, category: of the model.
         variant: of the input.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         method: its label.
         mad_mm: over all voxels; NaN where prediction or ground truth is occupancy.
         iou, precision, recall: of the occupied voxels (TSDF <= 0, probability >= 0.5).
@@ -69,7 +70,7 @@ class Field:
         return self.volume.with_features(inside.to(torch.float32))
 
     def surface(self) -> Surface:
-        """Marching cubes, in the cube of side 3."""
+        """Marching cubes, in a cube of size 3."""
         values = self.volume.features
         signed = 1 - 2 * values if self.is_occupancy else values.clamp(-1, 1)
         return octree_surface(self.volume.with_features(signed).to_grids()[0])
@@ -91,63 +92,64 @@ class Bench:
         plan: which methods, and what they take.
         weight: TV-L1's.
         network: for `ours`; on its device, in evaluation mode.
-        sides: resolutions of the network's levels that the data set has.
+        resolutions: resolutions of the network's levels that the data set has.
     """
 
-    def __init__(self, facts: Facts, plan: Plan, weight: Weight, network: OctNetFusion | None,
-                 sides: Sequence[int]) -> None:
+    def __init__(self, facts: DatasetFacts, plan: VariantPlan, weight: Weight, network: OctNetFusion | None,
+                 resolutions: Sequence[int]) -> None:
         self._facts, self._plan, self._weight = facts, plan, weight
-        self._network, self._sides = network, sides
+        self._network, self._resolutions = network, resolutions
 
     def run(self, model: Model) -> Iterator[Result]:
         """The results of all methods at all resolutions that the model was read at."""
-        truths = {side: Field(OctreeBatch.from_grids([truth]), self._facts.is_occupancy)
-                  for side, truth in model.truths.items()}
+        truths = {resolution: Field(OctreeBatch.from_grids([truth]), self._facts.is_occupancy)
+                  for resolution, truth in model.truths.items()}
         for method, encoding in self._plan.sources.items():
-            for side, field, seconds in self._reconstruct(method, model.inputs[encoding], encoding):
-                yield Result(self._row(model, side, method, field, truths[side], seconds), field)
+            for resolution, field, seconds in self._reconstruct(method, model.inputs[encoding], encoding):
+                yield Result(self._row(model, resolution, method, field, truths[resolution], seconds), field)
 
     def _reconstruct(self, method: Method, inputs: Mapping[int, GridOctree],
                      encoding: Encoding) -> Iterator[tuple[int, Field, float]]:
         if method is Method.OURS and self._network is not None:
             device = next(self._network.parameters()).device
-            batches = [OctreeBatch.from_grids([inputs[side]]) for side in self._sides]
+            batches = [OctreeBatch.from_grids([inputs[resolution]]) for resolution in self._resolutions]
             is_occupancy = self._network.output is Output.OCCUPANCY
-            for side, reached in zip(self._sides, run_levels(self._network, batches, device), strict=True):
-                yield side, Field(reached.reconstruction, is_occupancy), reached.seconds
+            levels = run_levels(self._network, batches, device)
+            for resolution, reached in zip(self._resolutions, levels, strict=True):
+                yield resolution, Field(reached.reconstruction, is_occupancy), reached.seconds
             return
-        for side, octree in inputs.items():
+        for resolution, octree in inputs.items():
             start = time.perf_counter()
             if method is Method.TVL1:
-                fused = tvl1(octree, self._weight(self._plan.variant, side))
+                fused = tvl1(octree, self._weight(self._plan.variant, resolution))
                 seconds = time.perf_counter() - start
             else:
                 fused, seconds = stored_volfus(octree, encoding), math.nan
-            yield side, Field(OctreeBatch.from_grids([fused]), False), seconds
+            yield resolution, Field(OctreeBatch.from_grids([fused]), False), seconds
 
-    def _row(self, model: Model, side: int, method: Method, field: Field, truth: Field,
+    def _row(self, model: Model, resolution: int, method: Method, field: Field, truth: Field,
              seconds: float) -> Row:
         if field.is_occupancy or truth.is_occupancy:
             overlap = occupancy_overlap(field.as_occupancy(), truth.as_occupancy())
             mad = math.nan
         else:
             overlap = tsdf_overlap(field.volume, truth.volume)
-            mad = float(mad_mm(field.volume, truth.volume, self._facts.taus[side]))
-        return Row(model.key, model.category, self._plan.variant, side, self._plan.label(method), mad,
+            mad = float(mad_mm(field.volume, truth.volume, self._facts.taus[resolution]))
+        return Row(model.key, model.category, self._plan.variant, resolution, self._plan.label(method), mad,
                    float(overlap.iou), float(overlap.precision), float(overlap.recall), seconds,
                    field.volume.n_leaves)
 
 
-def level_sides(facts: Facts, sides: Sequence[int]) -> list[int]:
-    """Resolutions of the network's levels, `sides`, coarse to fine, as far as the data set has them.
+def level_resolutions(facts: DatasetFacts, resolutions: Sequence[int]) -> list[int]:
+    """Resolutions of the network's levels, `resolutions`, coarse to fine, as far as the data set has them.
 
     Raises:
         OcnfError: it has not even the first.
     """
-    shared = list(takewhile(lambda side: side in facts.resolutions, sides))
+    shared = list(takewhile(lambda resolution: resolution in facts.resolutions, resolutions))
     if not shared:
         raise OcnfError("the data set lacks the resolution of the network's first level", code="missing",
                         where=facts.url, field="resolutions", found=list(facts.resolutions),
-                        expected=sides[0],
+                        expected=resolutions[0],
                         fix="generate it, or evaluate other methods")
     return shared

@@ -18,7 +18,7 @@ _VOLFUS_SOURCES = (Encoding.TSDF, Encoding.TDF_OCCUPANCY, Encoding.HISTOGRAM)  #
 
 
 @dataclass(frozen=True)
-class Facts:
+class DatasetFacts:
     """What the manifest of a data set says that matters here.
 
     Attributes:
@@ -38,11 +38,11 @@ class Facts:
     taus: Mapping[int, float]
 
     @classmethod
-    def read(cls, url: str) -> Facts:
+    def read(cls, url: str) -> DatasetFacts:
         """The facts of the data set at a folder or URL."""
         manifest: dict[str, Any] = dict(load_dataset(url).manifest)
         try:
-            resolutions = tuple(sorted(int(side) for side in manifest["resolutions"]))
+            resolutions = tuple(sorted(int(resolution) for resolution in manifest["resolutions"]))
             voxels, extent = float(manifest["truncation_voxels"]), float(manifest["normalise"]["extent"])
             return cls(
                 url=url,
@@ -51,7 +51,7 @@ class Facts:
                           for entry in manifest["inputs"]},
                 is_occupancy=manifest["target"] == "occupancy",
                 truncation_voxels=voxels,
-                taus={side: voxels * extent / side for side in resolutions},
+                taus={resolution: voxels * extent / resolution for resolution in resolutions},
             )
         except (KeyError, TypeError, ValueError) as error:
             raise OcnfError("the data set's manifest lacks what evaluation needs", code="damaged", where=url,
@@ -59,7 +59,7 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Plan:
+class VariantPlan:
     """What a variant is evaluated with: for each method the stored encoding that it takes."""
 
     variant: str
@@ -74,8 +74,8 @@ class Plan:
         return method.label + "*" * self.is_approximate(method)
 
 
-def plan_variants(facts: Facts, methods: Sequence[Method], encoding: Encoding | None, *,
-                  required: bool) -> tuple[list[Plan], list[str]]:
+def plan_variants(facts: DatasetFacts, methods: Sequence[Method], encoding: Encoding | None, *,
+                  required: bool) -> tuple[list[VariantPlan], list[str]]:
     """A plan for each variant that some method can be run on, and notes on what cannot.
 
     Args:
@@ -99,7 +99,7 @@ def plan_variants(facts: Facts, methods: Sequence[Method], encoding: Encoding | 
             else:
                 sources[method] = found
         if sources:
-            plans.append(Plan(variant, sources))
+            plans.append(VariantPlan(variant, sources))
             if sources.get(Method.VOLFUS) is Encoding.HISTOGRAM:
                 notes.append(f"VolFus* of {variant} is the mean of the histogram, an approximation; add tsdf "
                              "to the encodings of the data set's inputs to have it exactly")
@@ -136,7 +136,7 @@ class Models:
         OcnfError: the data set lacks what is asked for, or is damaged: where, and what there is.
     """
 
-    def __init__(self, facts: Facts, split: str, variant: str, encodings: Sequence[Encoding],
+    def __init__(self, facts: DatasetFacts, split: str, variant: str, encodings: Sequence[Encoding],
                  resolutions: Sequence[int], limit: int | None = None) -> None:
         if limit is not None and limit < 1:
             raise OcnfError("no models are asked for", field="limit", found=limit, expected="1 or more")
@@ -162,7 +162,7 @@ class Models:
         return Model(
             key=first.keys[0],
             category=first.categories[0],
-            truths={side: octrees.grids()[0] for side, octrees in first.targets.items()},
-            inputs={encoding: {side: octrees.grids()[0] for side, octrees in batch.inputs.items()}
+            truths={resolution: octrees.grids()[0] for resolution, octrees in first.targets.items()},
+            inputs={encoding: {resolution: octrees.grids()[0] for resolution, octrees in batch.inputs.items()}
                     for encoding, batch in zip(self._encodings, batches, strict=True)},
         )

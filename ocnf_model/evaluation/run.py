@@ -14,10 +14,10 @@ from ocnf_data.octree import GridOctree
 from ocnf_model.checkpoint import PRETRAINED, open_run, run_path
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
-from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
+from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_resolutions
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
-from ocnf_model.evaluation.models import Facts, Models, Plan, plan_variants
-from ocnf_model.evaluation.report import Summary, markdown, print_tables, summarise, to_csv
+from ocnf_model.evaluation.models import DatasetFacts, Models, VariantPlan, plan_variants
+from ocnf_model.evaluation.tables import Summary, markdown, print_tables, summarise, to_csv
 from ocnf_model.evaluation.weights import read_weights, run_choose_weight
 from ocnf_model.network import OctNetFusion
 from ocnf_model.octree.batch import OctreeBatch
@@ -81,17 +81,17 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
     """
     console = console or Console()
-    network, sides = None, None
+    network, resolutions = None, None
     if methods is None or Method.OURS in methods:
         trained = open_run(run)
-        trained.check_fits(data, truncation_voxels=Facts.read(data).truncation_voxels)
-        network, sides = trained.network.to(pick_device(device)), trained.resolutions
+        trained.check_fits(data, truncation_voxels=DatasetFacts.read(data).truncation_voxels)
+        network, resolutions = trained.network.to(pick_device(device)), trained.resolutions
     if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
         weights = kept
     if out is None and run != PRETRAINED and run_path(run).is_dir():
         out = run_path(run) / "evaluation" / split
-    found = evaluate(network, data, sides=sides, split=split, methods=methods, weights=weights, limit=limit,
-                     n_figures=n_figures if out is not None else 0, up=up, console=console,
+    found = evaluate(network, data, resolutions=resolutions, split=split, methods=methods, weights=weights,
+                     limit=limit, n_figures=n_figures if out is not None else 0, up=up, console=console,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
     print_tables(console, found.summaries, found.notes)
     if out is None:
@@ -102,7 +102,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
     return found
 
 
-def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | None = None,
+def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[int] | None = None,
              split: str = "test", methods: Sequence[str] | None = None,
              weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
              console: Console | None = None, title: str = "") -> Evaluation:
@@ -111,7 +111,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | 
     Args:
         network: in evaluation mode; None: the baselines alone.
         data: a data set, folder or URL.
-        sides: resolutions of the network's levels; None: the data set's, from the lowest on.
+        resolutions: resolutions of the network's levels; None: the data set's, from the lowest on.
         split: of it.
         methods: as for `run_evaluate`.
         weights: TV-L1's, a file; None: `DEFAULT_WEIGHTS`.
@@ -121,13 +121,13 @@ def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | 
         console: for the progress; None shows none.
         title: of the report.
     """
-    facts = Facts.read(data)
+    facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
     if network is None and methods is None:
         chosen = tuple(method for method in chosen if method is not Method.OURS)
     levels: list[int] = []
     if network is not None and Method.OURS in chosen:
-        levels = level_sides(facts, sides or facts.resolutions[: len(network.levels)])
+        levels = level_resolutions(facts, resolutions or facts.resolutions[: len(network.levels)])
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
     weight = _weights(weights, plans, facts.resolutions, notes)
@@ -149,24 +149,26 @@ def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | 
                         surfaces[result.row.resolution, result.row.method] = result.field.surface()
                 if draw:
                     drawn.add(model.category)
-                    surfaces |= {(side, TRUTH): _surface(truth, facts)
-                                 for side, truth in model.truths.items()}
+                    surfaces |= {(resolution, TRUTH): _surface(truth, facts)
+                                 for resolution, truth in model.truths.items()}
                     figures[f"{plan.variant}-{model.key}.png"] = draw_surfaces(
                         surfaces, f"{model.key}, {plan.variant}", up)
                 progress.advance(task)
     return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}")
 
 
-def _surface(truth: GridOctree, facts: Facts) -> Surface:
+def _surface(truth: GridOctree, facts: DatasetFacts) -> Surface:
     return Field(OctreeBatch.from_grids([truth]), facts.is_occupancy).surface()
 
 
-def _weights(path: Path | None, plans: Sequence[Plan], sides: Sequence[int], notes: list[str]) -> Weight:
+def _weights(path: Path | None, plans: Sequence[VariantPlan], resolutions: Sequence[int],
+             notes: list[str]) -> Weight:
     """TV-L1's weights, with a note on those that nobody chose for this data."""
     known = {} if path is None else read_weights(path)
-    wanted = [(plan.variant, side) for plan in plans if Method.TVL1 in plan.sources for side in sides]
-    lacking = [f"{variant} at {side}³" for variant, side in wanted if (variant, side) not in known]
+    variants = [plan.variant for plan in plans if Method.TVL1 in plan.sources]
+    lacking = [f"{variant} at {resolution}³" for variant in variants for resolution in resolutions
+               if (variant, resolution) not in known]
     if lacking:
         notes.append(f"TV-L1's weight is the package's default for {', '.join(lacking)}, not one chosen on "
                      "this data's validation split")
-    return lambda variant, side: known.get((variant, side), default_weight(side))
+    return lambda variant, resolution: known.get((variant, resolution), default_weight(resolution))

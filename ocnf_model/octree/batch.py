@@ -62,7 +62,7 @@ class OctreeBatch:
     def full(cls, dense: Tensor) -> OctreeBatch:
         """(B, C, D, H, W) floating point, D, H, W multiples of 8: every leaf a voxel; differentiable."""
         if not isinstance(dense, Tensor) or dense.ndim != 5 or not dense.is_floating_point() \
-                or any(side % TREE_WIDTH or not side for side in dense.shape[2:]):
+                or any(n % TREE_WIDTH or not n for n in dense.shape[2:]):
             raise OcnfError("not a batch of volumes", where="OctreeBatch.full", field="dense",
                             found=_describe(dense),
                             expected="floating point (B, C, D, H, W), D, H, W multiples of 8")

@@ -15,9 +15,9 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from ocnf_data.arrays import F32, I16, I64, Bool
+from ocnf_data.arrays import F32, I16, I32, I64, Bool, Prefix, TreeArray
 from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, tree_leaves
-from ocnf_model.octree.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.octree.leaves import tree_at, tree_place
 from ocnf_model.octree.structure import Structure
 
 N_OFFSETS = 27
@@ -90,7 +90,7 @@ def _halo_range(d: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _paint_halo(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: Indices, widths: Indices
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: I32, widths: I32
 ) -> None:
     """Leaf and leaf width at the 10^3 voxels in and around tree `t`; leaf -1 outside the grid."""
     b, gd, gh, gw = tree_place(t, grid)
@@ -118,7 +118,7 @@ def _overlap(low: int, high: int, start: int, width: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _add_overlap(found: Indices, n: int, leaf: int, z: int, y: int, x: int, wide: int, z0: int, y0: int,
+def _add_overlap(found: I32, n: int, leaf: int, z: int, y: int, x: int, wide: int, z0: int, y0: int,
                  x0: int, w: int) -> None:
     """Row `n` of `found`: a leaf of width `wide` at (z, y, x), against one of width `w` at (z0, y0, x0).
 
@@ -133,7 +133,7 @@ def _add_overlap(found: Indices, n: int, leaf: int, z: int, y: int, x: int, wide
 
 
 @njit(cache=True, nogil=True)
-def _around_leaf(cell: I16, leaves: Indices, widths: Indices, found: Indices) -> int:
+def _around_leaf(cell: I16, leaves: I32, widths: I32, found: I32) -> int:
     """Rows of `found` (1000, 10) for the leaves that touch a leaf, itself included: how many there are."""
     w = cell[3]
     n = 0
@@ -153,7 +153,7 @@ def _around_leaf(cell: I16, leaves: Indices, widths: Indices, found: Indices) ->
 
 @njit(cache=True, nogil=True)
 def _around_tree(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, found: Indices
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, found: I32
 ) -> int:
     """As `_around_leaf` for a tree of one leaf: most of its neighbours are such trees too."""
     b, gd, gh, gw = tree_place(t, grid)
@@ -215,7 +215,7 @@ def count_irregular(
 def fill(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: Bool,
     rank: I64, n_regular: int, starts: I64,
-) -> tuple[Indices, Indices, F32]:
+) -> tuple[I32, I32, F32]:
     """The table of the regular leaves, and columns and weights of the others, as in `Neighbours`."""
     table = np.empty((n_regular, N_OFFSETS), np.int32)
     columns = np.empty(starts[-1], np.int32)

@@ -14,10 +14,10 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from ocnf_data.arrays import U8
+from ocnf_data.arrays import I32, U8, Prefix, TreeArray
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.bits import MAX_LEAVES, child_bits, is_split, leaf_of_voxel, tree_leaves, with_split
-from ocnf_model.octree.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.octree.leaves import tree_at, tree_place
 from ocnf_model.octree.structure import Structure
 
 
@@ -114,7 +114,7 @@ def pooled_trees(trees: TreeArray, grid: tuple[int, int, int]) -> TreeArray:
 @njit(cache=True, nogil=True, parallel=True)
 def match_pooled(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], pooled: TreeArray, pooled_prefix: Prefix
-) -> tuple[Indices, Indices, U8]:
+) -> tuple[I32, I32, U8]:
     """`first`, `parents` and `slots` of `Halving`."""
     coarse_grid = (grid[0] // 2, grid[1] // 2, grid[2] // 2)
     first = np.empty(pooled_prefix[-1], np.int32)

@@ -15,13 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ocnf_data.arrays import I64, U8, U64
+from ocnf_data.arrays import I64, U8, TreeArray
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_prefix
 from ocnf_model.octree.leaves import leaf_sizes
-
-TreeArray = U64
 
 
 class Movable(Protocol):
@@ -64,7 +62,7 @@ class Structure:
     @classmethod
     def full(cls, batch_size: int, shape: tuple[int, int, int]) -> Structure:
         """Every leaf a voxel, for `batch_size` grids of `shape` (D, H, W) voxels, multiples of 8."""
-        trees = np.empty((batch_size, *(side // TREE_WIDTH for side in shape), 2), np.uint64)
+        trees = np.empty((batch_size, *(n // TREE_WIDTH for n in shape), 2), np.uint64)
         trees[..., 0] = np.uint64(2**64 - 1)
         trees[..., 1] = np.uint64(2**9 - 1)  # bits 64-72
         return cls(trees)

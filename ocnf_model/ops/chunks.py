@@ -13,7 +13,7 @@ from torch import Tensor
 from ocnf_model.octree.leafmap import sparse_product
 from ocnf_model.octree.neighbours import N_OFFSETS, Neighbours
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 # Elements of a gathered chunk: on a CPU 4 MB of float32, which stay in the cache from the gather to the
 # product; on a GPU as much as keeps it busy.
@@ -65,8 +65,8 @@ def gather(neighbours: Neighbours, features: Tensor,
         yield leaves, gathered.view(len(leaves), -1)
 
 
-def share(work: Callable[[Sequence[Chunk]], Result], chunks: Sequence[Chunk],
-          device: torch.device) -> list[Result]:
+def map_chunks(work: Callable[[Sequence[Chunk]], _Result], chunks: Sequence[Chunk],
+          device: torch.device) -> list[_Result]:
     """Run `work` on parts of the chunks, without gradients: one part, or on a CPU one for each thread.
 
     Threads that each take a part do not wait for one another after every small operation, as those within an
@@ -79,7 +79,7 @@ def share(work: Callable[[Sequence[Chunk]], Result], chunks: Sequence[Chunk],
         with torch.no_grad():
             return [work(chunks)]
 
-    def run(part: int) -> Result:
+    def run(part: int) -> _Result:
         torch.set_num_threads(1)  # of this Python thread
         with torch.no_grad():
             return work(chunks[part::n_parts])

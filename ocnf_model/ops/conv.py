@@ -24,7 +24,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.neighbours import Neighbours
 from ocnf_model.octree.structure import Structure
-from ocnf_model.ops.chunks import Chunk, gather, plan, share
+from ocnf_model.ops.chunks import Chunk, gather, map_chunks, plan
 from ocnf_model.ops.gemm import linear
 
 
@@ -106,7 +106,7 @@ class _Convolution(torch.autograd.Function):
             for leaves, gathered in gather(neighbours, features, chunks):
                 result.index_copy_(0, leaves, linear(gathered, matrix, bias))
 
-        share(convolve, plan(neighbours, features.shape[1]), features.device)
+        map_chunks(convolve, plan(neighbours, features.shape[1]), features.device)
         return result
 
     @staticmethod
@@ -137,7 +137,7 @@ class _Convolution(torch.autograd.Function):
 
         grad_weight = None
         if wants_features or wants_weight:
-            parts = share(convolve_back, plan(neighbours, grad.shape[1]), grad.device)
+            parts = map_chunks(convolve_back, plan(neighbours, grad.shape[1]), grad.device)
             if wants_weight:
                 grad_matrix = torch.stack(parts).sum(0).view(weight.shape[1], 3, 3, 3, len(weight))
                 grad_weight = grad_matrix.permute(4, 0, 1, 2, 3).flip(2, 3, 4).to(weight.dtype)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from ocnf_data.arrays import U8, Bool
+from ocnf_data.arrays import U8, Bool, Prefix, TreeArray
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_of_voxel, with_split
-from ocnf_model.octree.leaves import Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.octree.leaves import tree_at, tree_place
 
 _BELOW, _ABOVE = np.uint8(1), np.uint8(2)
 

@@ -26,7 +26,7 @@ def grid_pool(x: OctreeBatch, kind: str = Pooling.MAX) -> OctreeBatch:
     """Half the resolution: 8 trees become 1, eight voxels one, wider leaves are copied at half their width.
 
     Raises:
-        OcnfError: an unknown kind, or a side of the grids that is not a multiple of 16.
+        OcnfError: an unknown kind, or an axis of the grids that is not a multiple of 16.
     """
     if kind not in tuple(Pooling):
         raise OcnfError("no such pooling", where="grid_pool", field="kind", found=kind,

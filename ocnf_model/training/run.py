@@ -1,7 +1,7 @@
 """Training a network stage by stage, resumable at any moment (SEMANTICS 5).
 
     RUN/settings.json          all settings, resolved, and what they were resolved against
-    RUN/state.safetensors      where the run is (see `training.state`)
+    RUN/state.safetensors      where the run is (see `training.train_state`)
     RUN/level-1.safetensors    best checkpoint of each level, by validation MAD (see `checkpoint`)
     RUN/curves.csv             a line an epoch
     RUN/tensorboard/           the curves by step
@@ -26,14 +26,14 @@ from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import validate
 from ocnf_data.shards import load_dataset
-from ocnf_model.checkpoint import Architecture, DataFacts, load_level
+from ocnf_model.checkpoint import Architecture, TrainingData, load_level
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.batches import open_split
-from ocnf_model.training.report import Reporter, write_curves
-from ocnf_model.training.settings import TrainSettings, difference, read_settings
+from ocnf_model.training.curves import Reporter, write_curves
+from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.state import Place, load_place, save_state
+from ocnf_model.training.train_state import TrainState, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
@@ -72,7 +72,7 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
         settings = asked.resolved(manifest, variant, data)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
-                _begin(folder, settings, _facts(data, settings, manifest))
+                _begin(folder, settings, _training_data(data, settings, manifest))
             world.wait()
             return _run(data, folder, settings, manifest, world, console)
 
@@ -84,12 +84,12 @@ def _run(data: str, folder: Path, settings: TrainSettings, manifest: dict[str, A
     architecture = Architecture(encoding=settings.encoding, join=settings.join, carry=settings.carry,
                                 output=settings.output, channels=settings.channels, band=settings.band)
     network = architecture.network(settings.levels, settings.checkpointing).to(world.device)
-    facts = _facts(data, settings, manifest)
-    place, tensors = load_place(folder)
-    if world.is_main and place.rows:
-        write_curves(folder, place.rows)  # a killed run may have left a line too few
+    facts = _training_data(data, settings, manifest)
+    state, tensors = load_state(folder)
+    if world.is_main and state.rows:
+        write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
-        if level >= place.level:
+        if level >= state.level:
             if level:
                 network.start_from_previous(level)
             job = Job(folder, settings, network, open_split(data, settings, level, manifest, train=True),
@@ -97,26 +97,26 @@ def _run(data: str, folder: Path, settings: TrainSettings, manifest: dict[str, A
                       world)
             unit = " mm" if settings.output is Output.TSDF else ""
             with memory_errors(f"level {level + 1}", _less_memory(settings, level)), \
-                    Reporter(folder, level + 1, settings.resolutions[level], place.steps, unit,
+                    Reporter(folder, level + 1, settings.resolutions[level], state.steps, unit,
                              world.is_main, console) as report:
-                Trainer(job, place, tensors, report).run()
-            place, tensors = Place(level=level + 1, rows=place.rows), {}
+                Trainer(job, state, tensors, report).run()
+            state, tensors = TrainState(level=level + 1, rows=state.rows), {}
             if world.is_main:
-                save_state(folder, place)
+                save_state(folder, state)
             world.wait()
         load_level(folder, network, level)
     return network.eval()
 
 
-def _facts(data: str, settings: TrainSettings, manifest: dict[str, Any]) -> DataFacts:
+def _training_data(data: str, settings: TrainSettings, manifest: dict[str, Any]) -> TrainingData:
     training, validation = (open_split(data, settings, 0, manifest, train=train) for train in (True, False))
-    return DataFacts(
+    return TrainingData(
         name=manifest["name"], checksum=training.state_dict()["datasets"][0], variant=settings.variant,
         n_train=len(training.keys), n_val=len(validation.keys), extent=manifest["normalise"]["extent"],
         truncation_voxels=manifest["truncation_voxels"])
 
 
-def _begin(folder: Path, settings: TrainSettings, facts: DataFacts) -> None:
+def _begin(folder: Path, settings: TrainSettings, facts: TrainingData) -> None:
     """Write down what the run is; refuse a folder that holds something else."""
     store = Store(folder)
     if not store.exists(SETTINGS):
@@ -128,7 +128,7 @@ def _begin(folder: Path, settings: TrainSettings, facts: DataFacts) -> None:
         store.put_bytes(SETTINGS, canonical_json(fields, indent=2))
         return
     before, began_with = read_run_settings(folder)
-    if found := difference(settings, before):
+    if found := setting_difference(settings, before):
         field, ours, theirs = found
         raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
                         found=ours, expected=theirs, fix="pass the same settings, or name a new folder")
@@ -139,7 +139,7 @@ def _begin(folder: Path, settings: TrainSettings, facts: DataFacts) -> None:
                         fix="pass the same data set, or name a new folder")
 
 
-def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
+def read_run_settings(folder: Path) -> tuple[TrainSettings, TrainingData]:
     """What a run's folder says it is.
 
     Raises:
@@ -152,7 +152,7 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
         raise OcnfError("not the settings of a run of this version", code="schema", where=where)
-    return read_settings(fields.get("settings"), where), validate(DataFacts, fields.get("data"), where)
+    return read_settings(fields.get("settings"), where), validate(TrainingData, fields.get("data"), where)
 
 
 def _less_memory(settings: TrainSettings, level: int) -> str:

@@ -18,12 +18,10 @@ from pydantic import Field, field_validator
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.strict_yaml import read_yaml
-from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refused, validate
+from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, refused, validate
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
-from ocnf_data.loading.settings import OnError
 from ocnf_model.network import Carry, Join, Output
-
-Positive = Annotated[Int, Field(ge=1)]
 
 
 class Precision(StrEnum):
@@ -74,7 +72,8 @@ class TrainSettings(Strict):
 
     levels: Positive = 3
     resolutions: tuple[Positive, ...] | None = None
-    """Voxels a side of each level, each twice the one before; None for the data set's, coarse to fine."""
+    """Voxels along each axis, level by level, each twice the one before; None for the data set's, coarse to
+    fine."""
     encoding: Encoding = Encoding.HISTOGRAM
     variant: str | None = None
     """Name of the inputs in the manifest; None for the only one that has the encoding."""
@@ -155,7 +154,7 @@ FREE_TO_CHANGE = frozenset({"checkpointing", "workers", "save_every"})
 """Fields that another start of the same run may set otherwise: the weights do not depend on them."""
 
 
-def difference(ours: TrainSettings, theirs: TrainSettings) -> tuple[str, Any, Any] | None:
+def setting_difference(ours: TrainSettings, theirs: TrainSettings) -> tuple[str, Any, Any] | None:
     """The first field in which two runs differ: its name, our value, their value."""
     return _difference(ours.decisive(), theirs.decisive(), "")
 

@@ -14,8 +14,8 @@ import torch
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import (
     Architecture,
-    DataFacts,
     Header,
+    TrainingData,
     checkpoint_sha256,
     load_level,
     load_run,
@@ -27,7 +27,7 @@ from ocnf_model.tensorfile import read_tensors
 
 ARCHITECTURE = Architecture(encoding="tsdf", join="concat", carry="features", output="tsdf",
                             channels=(2, 3, 4), band=1.0)
-DATA = DataFacts(name="d", checksum="0" * 64, variant="v2", n_train=3, n_val=2, extent=3.0,
+DATA = TrainingData(name="d", checksum="0" * 64, variant="v2", n_train=3, n_val=2, extent=3.0,
                  truncation_voxels=2.0)
 
 

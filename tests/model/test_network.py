@@ -66,7 +66,7 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 def test_where_every_leaf_is_a_voxel_it_is_the_dense_network(settings) -> None:
     torch.manual_seed(1)
     network = OctNetFusion(**SMALL, levels=2, **settings).double()
-    volumes = [torch.randn(1, 1, side, side, side).double() for side in (32, 64)]
+    volumes = [torch.randn(1, 1, n, n, n).double() for n in (32, 64)]
     outputs = network.run([OctreeBatch.full(volume) for volume in volumes])
     features, raw = dense_level(network.levels[0], volumes[0])
     torch.testing.assert_close(outputs[0].raw.to_dense(), raw)

@@ -74,8 +74,8 @@ def test_killed_at_random_moments_and_resumed(job, tmp_path, contents, fake, job
         for tar in out.glob("train/shard-*.tar"):
             with tar.open("rb") as file:
                 index = index_from_tar(file, "train", tar.name, tar)
-            side = tar.with_suffix(".json")
-            assert not side.exists() or side.read_bytes() == index.to_json()
+            index_file = tar.with_suffix(".json")
+            assert not index_file.exists() or index_file.read_bytes() == index.to_json()
     assert not (out / "dataset.json").exists()
     run = start(manifest, out, root, jobs)
     finish(run)

@@ -15,7 +15,7 @@ import pytest
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.records import Failure, Item, Sample
 from ocnf_data.generation.worker.memory import resident_bytes
-from ocnf_data.generation.worker.supervisor import ChildSetup, Limits, Supervisor
+from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup, Supervisor
 
 SLOW = 60.0
 
@@ -30,7 +30,7 @@ def start(tmp_path: Path) -> Iterator[object]:
 
     def make(seconds: float = SLOW, resident: int = 700 * 2**20, maker: str = "maker") -> Supervisor:
         setup = ChildSetup({}, str(tmp_path), maker=f"fake_makers:{maker}")
-        started.append(Supervisor(setup, Limits(seconds, SLOW, resident)))
+        started.append(Supervisor(setup, ChildLimits(seconds, SLOW, resident)))
         return started[-1]
 
     yield make
@@ -125,8 +125,8 @@ def test_the_child_dies_with_its_parent(tmp_path: Path, deed: str) -> None:
     script = f"""
 import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
 from ocnf_data.generation.records import Item
-from ocnf_data.generation.worker.supervisor import ChildSetup, Limits, Supervisor
-s = Supervisor(ChildSetup({{}}, maker="fake_makers:maker"), Limits())
+from ocnf_data.generation.worker.supervisor import ChildSetup, ChildLimits, Supervisor
+s = Supervisor(ChildSetup({{}}, maker="fake_makers:maker"), ChildLimits())
 print(int(s.run(Item("k", "train", "chair", "ok")).timings["pid"]), flush=True)
 s.run(Item("k", "train", "chair", {deed!r}))
 import time; time.sleep(1000)

@@ -21,7 +21,7 @@ def blocky(rng: np.random.Generator, n_channels: int, shape: tuple[int, int, int
     """A volume with leaves of every width: coarse cells, some of them disturbed in single voxels."""
     values = np.zeros((n_channels, *shape), np.float32)
     for width in (8, 4, 2, 1):
-        coarse = rng.integers(0, 2, [side // width for side in shape]) * (rng.random() < 0.7)
+        coarse = rng.integers(0, 2, [n // width for n in shape]) * (rng.random() < 0.7)
         sparse = coarse * (rng.random(coarse.shape) < 0.1)
         values += np.kron(sparse, np.ones((width, width, width)))
     return values + np.arange(n_channels, dtype=np.float32)[:, None, None, None]

@@ -22,9 +22,9 @@ from ocnf_data.shards import (
     load_dataset,
     write_dataset,
 )
-from ocnf_data.verify.info import describe, print_info
+from ocnf_data.verify.problems import print_verify
 from ocnf_data.verify.repair import find_damaged, quarantine, restore_index
-from ocnf_data.verify.report import print_verify
+from ocnf_data.verify.summary import describe, print_summary
 from ocnf_data.verify.verify import verify
 
 Members = dict[str, bytes]
@@ -222,14 +222,14 @@ def test_info_sums_up_what_the_tars_hold(octree_set: Store,
             leaves = [json.loads(members["json"])["leaf_counts"][name] for _, members in octree_samples]
             assert (part.leaves, part.fewest, part.most) == (sum(leaves), min(leaves), max(leaves))
             assert 0 < part.fill <= 1
-    text = shown(lambda console: print_info(summary, console))
+    text = shown(lambda console: print_summary(summary, console))
     for expected in ("tiny", "f00d", "5 inputs = 4 samples + 1 failures", "target-16.oct", "histogram-32"):
         assert expected in text
     octree_set.remove("dataset.json")
     unfinished = describe(octree_set)
     assert unfinished.info is None
     assert unfinished.samples == 4
-    assert "unfinished" in shown(lambda console: print_info(unfinished, console))
+    assert "unfinished" in shown(lambda console: print_summary(unfinished, console))
 
 
 def test_a_pipe_in_the_place_of_a_file_is_reported_and_not_opened(opaque_set: Store) -> None:

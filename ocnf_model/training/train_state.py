@@ -1,7 +1,7 @@
 """Where a run is: everything that the rest of it depends on, in one file that is replaced whole.
 
     RUN/state.safetensors     weights of the level in training, Adam's moments, the random state; the header
-                              holds the place (level, epoch, step), the loader's state and the curves
+                              holds the state (level, epoch, step), the loader's state and the curves
 
 It is written at steps of the optimiser, so there are no half accumulated gradients to keep: a run killed
 between two states does the steps after the first of them again, with the same result.
@@ -31,7 +31,7 @@ class EpochRow:
 
     Attributes:
         level, epoch: from 1.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         steps: of the optimiser, in this level so far.
         train_loss: mean over the epoch's samples, each at the weights when it was met.
         val_mad: millimetres, or for occupancy the mean difference of probabilities.
@@ -52,7 +52,7 @@ class EpochRow:
 
 
 @dataclass
-class Place:
+class TrainState:
     """Where a run is.
 
     Attributes:
@@ -80,7 +80,7 @@ class Place:
         return next((row for row in reversed(self.rows) if row.level == self.level + 1 and row.best), None)
 
 
-def save_state(folder: Path, place: Place, level: nn.Module | None = None,
+def save_state(folder: Path, state: TrainState, level: nn.Module | None = None,
                optimiser: torch.optim.Optimizer | None = None) -> None:
     """Replace the state; without a level between two levels."""
     tensors: dict[str, Tensor] = {_RANDOM + "cpu": torch.get_rng_state()}
@@ -89,27 +89,27 @@ def save_state(folder: Path, place: Place, level: nn.Module | None = None,
         for name, parameter in level.named_parameters():
             for moment, tensor in optimiser.state.get(parameter, {}).items():
                 tensors[f"{_ADAM}{moment}.{name}"] = tensor
-    write_tensors(folder / STATE, tensors, {"schema": _SCHEMA, **asdict(place)})
+    write_tensors(folder / STATE, tensors, {"schema": _SCHEMA, **asdict(state)})
 
 
-def load_place(folder: Path) -> tuple[Place, dict[str, Tensor]]:
-    """The place, and the tensors for `restore`; the beginning where there is no state yet.
+def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
+    """The state, and the tensors for `restore`; the beginning where there is no state yet.
 
     Raises:
         OcnfError: the state is damaged or of another schema.
     """
     path = folder / STATE
     if not path.is_file():
-        return Place(), {}
+        return TrainState(), {}
     tensors, fields = read_tensors(path)
     if fields.pop("schema", None) != _SCHEMA:
         raise OcnfError("the run was begun by another version", code="schema", where=path,
                         fix="finish it with that version, or begin a new run")
     try:
-        place = Place(**{**fields, "rows": [EpochRow(**row) for row in fields["rows"]]})
+        state = TrainState(**{**fields, "rows": [EpochRow(**row) for row in fields["rows"]]})
     except (KeyError, TypeError) as error:
         raise OcnfError("not a state of a run", code="damaged", where=path, found=error) from error
-    return place, tensors
+    return state, tensors
 
 
 def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.optim.Optimizer) -> None:

@@ -78,7 +78,7 @@ def _by_category(summaries: Sequence[Summary], variant: str) -> tuple[list[str],
     cells = {(one.category, one.resolution, one.method): _number(one.mad_mm, 3) or _number(one.iou, 3)
              for one in chosen}
     categories = [*sorted({one.category for one in chosen} - {ALL}), ALL]
-    return (["category", *(f"{method} {side}³" for side, method in columns)],
+    return (["category", *(f"{method} {resolution}³" for resolution, method in columns)],
             [[category, *(cells.get((category, *column), "") for column in columns)]
              for category in categories])
 

@@ -115,7 +115,7 @@ def _add(summary: DatasetSummary, index: ShardIndex) -> None:
                 part.most = max(part.most, leaves)
 
 
-def print_info(summary: DatasetSummary, console: Console) -> None:
+def print_summary(summary: DatasetSummary, console: Console) -> None:
     """Show a summary: what it is, its splits, its members."""
     info = summary.info
     if info is None:
