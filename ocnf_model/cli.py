@@ -25,6 +25,9 @@ _debug = False
 
 
 Run = Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, or `pretrained`.")]
+Training = Annotated[str, typer.Argument(
+    metavar="DATA", help="A data set, a folder or an fsspec URL; or a manifest (.yaml), whose samples are "
+                         "made as they are needed.")]
 Data = Annotated[str, typer.Argument(metavar="DATA", help="A data set: a folder, or an fsspec URL.")]
 Device = Annotated[str, typer.Option(metavar="NAME", help="auto, cpu, cuda, cuda:1.")]
 
@@ -38,10 +41,15 @@ def _options(debug: Annotated[bool, typer.Option(
 
 @app.command("train")
 def train_command(
-    data: Data,
+    data: Training,
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
     levels: Annotated[int | None, typer.Option(min=1, help="Resolutions, coarse to fine. [3]")] = None,
     device: Device = "auto",
+    meshes: Annotated[Path | None, typer.Option(
+        metavar="ROOT", help="With a manifest: the folder that its mesh paths are relative to.")] = None,
+    val: Annotated[str | None, typer.Option(
+        metavar="DIR", help="Data set to validate with. [DATA's own; a manifest's is made in RUN/validation]",
+    )] = None,
     settings: Annotated[Path | None, typer.Option(
         metavar="FILE", help="YAML or JSON with any of the settings; options go before it.")] = None,
     encoding: Annotated[str | None, typer.Option(
@@ -92,7 +100,7 @@ def train_command(
          "learning_rate": learning_rate, "decay": decay},
         channels)
     try:
-        train(data, out, chosen, device=device, console=_err)
+        train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
     except KeyboardInterrupt:
         _err.print(f"[yellow]stopped; the same command goes on in {escape(str(out))}[/]", highlight=False)
         raise typer.Exit(130) from None

@@ -20,13 +20,13 @@ MOST_MODULES = 9
 # Room: the rooms that it imports.
 ARROWS = {
     "ocnf_data":
-        "ocnf_data.errors ocnf_data.fusion ocnf_data.generation ocnf_data.loading "
-        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.version ocnf_data.views",
+        "ocnf_data.errors ocnf_data.fusion ocnf_data.generation ocnf_data.loading ocnf_data.manifest "
+        "ocnf_data.octree ocnf_data.render ocnf_data.synthesis ocnf_data.version ocnf_data.views",
     "ocnf_data.__main__": "ocnf_data.cli",
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
-        "ocnf_data.doctor ocnf_data.files ocnf_data.generation ocnf_data.manifest "
-        "ocnf_data.meshes ocnf_data.shards ocnf_data.terminal ocnf_data.verify ocnf_data.version",
+        "ocnf_data.doctor ocnf_data.files ocnf_data.generation ocnf_data.manifest ocnf_data.meshes "
+        "ocnf_data.shards ocnf_data.terminal ocnf_data.verify ocnf_data.version",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
@@ -51,6 +51,10 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
     "ocnf_data.shapes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes",
     "ocnf_data.shards": "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree",
+    "ocnf_data.synthesis":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
+        "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.meshes ocnf_data.octree "
+        "ocnf_data.shapes ocnf_data.shards ocnf_data.views",
     "ocnf_data.terminal": "ocnf_data.errors",
     "ocnf_data.verify": "ocnf_data.errors ocnf_data.files ocnf_data.octree ocnf_data.shards",
     "ocnf_data.version": "",
@@ -63,14 +67,13 @@ ARROWS = {
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
-        "ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan "
-        "ocnf_model.training",
+        "ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.loading "
-        "ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
-        "ocnf_model.baselines ocnf_model.checkpoint ocnf_model.devices ocnf_model.metrics "
-        "ocnf_model.network ocnf_model.octree",
+        "ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal ocnf_model.baselines "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.metrics ocnf_model.network "
+        "ocnf_model.octree",
     "ocnf_model.info": "ocnf_model.checkpoint ocnf_model.network ocnf_model.ops ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
     "ocnf_model.metrics": "ocnf_data.octree ocnf_model.losses ocnf_model.octree",
@@ -83,9 +86,10 @@ ARROWS = {
         "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
-        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.loading ocnf_data.shards "
-        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses ocnf_model.metrics "
-        "ocnf_model.network ocnf_model.octree ocnf_model.tensorfile",
+        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation ocnf_data.loading "
+        "ocnf_data.manifest ocnf_data.shards ocnf_data.synthesis ocnf_model.checkpoint "
+        "ocnf_model.devices ocnf_model.losses ocnf_model.metrics ocnf_model.network ocnf_model.octree "
+        "ocnf_model.tensorfile",
 }
 
 # From the ground up: a room imports its own floor and those below it. Rooms not named are on `THE_REST`.
@@ -112,9 +116,12 @@ BORROWED = """
     ocnf_data.files.strict_yaml
     ocnf_data.files.validation
     ocnf_data.fusion
+    ocnf_data.generation
     ocnf_data.loading.arguments
     ocnf_data.loading.augment
     ocnf_data.loading.dataset
+    ocnf_data.loading.epochs
+    ocnf_data.manifest
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits
@@ -122,6 +129,8 @@ BORROWED = """
     ocnf_data.render.shade
     ocnf_data.shards
     ocnf_data.shards.dataset
+    ocnf_data.synthesis.dataset
+    ocnf_data.synthesis.sources
     ocnf_data.terminal
     ocnf_data.views.cameras
     ocnf_data.views.scans

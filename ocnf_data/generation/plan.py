@@ -81,25 +81,18 @@ class Plan:
                    tuple(Failure.from_json(row) for row in raw["exclusions"]))
 
 
-def make_plan(manifest: Manifest, meshes: Path | None) -> Plan:
+def make_plan(manifest: Manifest, meshes: Path | None, splits: Sequence[str] = SPLITS) -> Plan:
     """List, name, checksum and order the items of a manifest.
 
     Args:
         manifest: what to make.
         meshes: the folder that mesh paths are relative to; None for procedural shapes.
+        splits: which of them; the others are left out as if the manifest had none of their items.
 
     Raises:
         OcnfError: the folder or a category is missing or empty, a key or a variant's name is too long.
     """
-    if meshes is not None and not meshes.is_dir():
-        raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
-                        field="source.root", fix="give it as --meshes ROOT")
-    entries = manifest.source.entries(meshes, manifest.seed)
-    entries, exclusions = _distinct(entries, meshes)
-    keys = make_keys(entries, _key_limit(manifest))
-    sums = _checksums(entries, meshes)
-    items = [Item(key, entry.split, entry.category, _source(entry), sha256, entry.index)
-             for key, entry, sha256 in zip(keys, entries, sums, strict=True)]
+    items, exclusions = list_items(manifest, meshes, splits)
     size = manifest.shards.samples
     shards = []
     for split in SPLITS:
@@ -109,6 +102,24 @@ def make_plan(manifest: Manifest, meshes: Path | None) -> Plan:
                    for n, start in enumerate(range(0, len(order), size))]
     marks = fingerprint(reads_files=meshes is not None, renders_with_gl=manifest.renderer == "pyrender")
     return Plan(manifest.to_dict(), marks, tuple(shards), tuple(exclusions))
+
+
+def list_items(manifest: Manifest, meshes: Path | None,
+               splits: Sequence[str] = SPLITS) -> tuple[list[Item], list[Failure]]:
+    """The items of some splits with their keys and checksums, in the source's order; and what is left out.
+
+    A mesh has the same key whichever splits are asked for. Arguments and errors as for `make_plan`.
+    """
+    if meshes is not None and not meshes.is_dir():
+        raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
+                        field="source.root", fix="give it as --meshes ROOT")
+    entries, exclusions = _distinct(manifest.source.entries(meshes, manifest.seed), meshes)
+    keys = make_keys(entries, _key_limit(manifest))
+    wanted = [(key, entry) for key, entry in zip(keys, entries, strict=True) if entry.split in splits]
+    sums = _checksums([entry for _, entry in wanted], meshes)
+    items = [Item(key, entry.split, entry.category, entry_source(entry), sha256, entry.index)
+             for (key, entry), sha256 in zip(wanted, sums, strict=True)]
+    return items, [row for row in exclusions if row.split in splits]
 
 
 def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
@@ -126,7 +137,7 @@ def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
             raise OcnfError("a key is too long", field="source.items", found=entry.key,
                             expected=f"at most {limit} characters")
         if entry.key is None and (name != want or len(name) > limit or count[name.lower()] > 1):
-            digest = hashlib.sha256(f"{entry.split}/{_source(entry)}".encode()).hexdigest()
+            digest = hashlib.sha256(f"{entry.split}/{entry_source(entry)}".encode()).hexdigest()
             name = f"{name[:limit - _SUFFIX]}-{digest[:_SUFFIX - 1]}"
         keys.append(name)
     twice = [key for key, n in Counter(key.lower() for key in keys).items() if n > 1]
@@ -147,7 +158,8 @@ def _readable(entry: Entry) -> str:
     return "-".join((*(part for part in path.parts[:-1] if part != "/"), path.stem))
 
 
-def _source(entry: Entry) -> str:
+def entry_source(entry: Entry) -> str:
+    """What `Item.source` says of an entry."""
     return entry.path if entry.path is not None else f"shapes:{entry.category}:{entry.split}:{entry.index}"
 
 
@@ -172,23 +184,25 @@ def _distinct(entries: Sequence[Entry], meshes: Path | None) -> tuple[list[Entry
     excluded: list[Failure] = []
     first: dict[Path, Entry] = {}
     for entry in entries:
-        known = first.setdefault((meshes / _source(entry)).resolve(), entry)
+        if entry.path is None:
+            kept.append(entry)
+            continue
+        known = first.setdefault((meshes / entry_source(entry)).resolve(), entry)
         if known is entry:
             kept.append(entry)
         else:
-            source = _source(entry)
+            source = entry_source(entry)
             excluded.append(Failure(source, entry.split, entry.category, source, "plan", EXCLUDED,
-                                    f"is the same file as {known.split}'s {_source(known)}"))
+                                    f"is the same file as {known.split}'s {entry_source(known)}"))
     return kept, excluded
 
 
 def _checksums(entries: Sequence[Entry], meshes: Path | None) -> list[str | None]:
     """SHA-256 of each mesh file; None for a procedural shape, and for a file that cannot be read."""
-    if meshes is None:
-        return [None] * len(entries)
-
     def checksum(entry: Entry) -> str | None:
-        path = meshes / _source(entry)
+        if meshes is None or entry.path is None:
+            return None
+        path = meshes / entry.path
         try:
             if not path.is_file():  # opening a pipe would wait for ever
                 return None

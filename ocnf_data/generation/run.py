@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -28,7 +29,7 @@ from ocnf_data.generation.resume import adopt
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
 from ocnf_data.generation.worker import supervisor
 from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup
-from ocnf_data.manifest import Manifest, load_manifest
+from ocnf_data.manifest import SPLITS, Manifest, load_manifest
 from ocnf_data.shards.dataset import (
     DATASET,
     FAILURES,
@@ -57,6 +58,7 @@ def generate(
     *,
     retry_failed: bool = False,
     views: str | os.PathLike[str] | None = None,
+    splits: Sequence[str] = SPLITS,
     progress: bool = True,
 ) -> Report:
     """Make the data set that a manifest defines; in a folder where that was begun, finish it.
@@ -75,6 +77,7 @@ def generate(
         retry_failed: make the shards with failures anew.
         views: a folder of views that a run with `views: keep` left (its OUT/views): meshes that are there, as
             this manifest's cameras see them, are not rendered again. What comes out is the same.
+        splits: which of the manifest's splits to make.
         progress: show how far the run is, on standard error.
 
     Raises:
@@ -89,7 +92,7 @@ def generate(
     root = manifest.meshes_root(meshes)
     console = Console(stderr=True, quiet=not progress)
     with exclusive(store):
-        plan, warnings = adopt(store, make_plan(manifest, root))
+        plan, warnings = adopt(store, make_plan(manifest, root, splits))
         if views is not None:
             warnings += _compare_views(views, plan, manifest)
         for warning in warnings:

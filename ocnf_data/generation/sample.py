@@ -91,9 +91,7 @@ def make_sample(
         pyramid = DepthPyramid(views)
     for resolution in manifest.resolutions:
         with stages("fuse target"):
-            truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
-            if manifest.target is Target.OCCUPANCY:
-                truth = occupied(truth)
+            truth = fuse_truth(manifest, pyramid, resolution)
         add(target_member(resolution), truth, "target")
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
@@ -104,8 +102,7 @@ def make_sample(
         for encoding in variant.encodings:
             for resolution in manifest.resolutions:
                 with stages("fuse inputs"):
-                    octree = fuse(pyramid, encoding, resolution, manifest.normalise.extent,
-                                  manifest.truncation(resolution))
+                    octree = fuse_input(manifest, pyramid, encoding, resolution)
                 add(input_member(variant.name, encoding, resolution), octree, encoding)
     facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
     return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
@@ -160,12 +157,23 @@ def _find(store: ViewStore, key: str, mesh_sha256: str, fingerprint: str) -> Vie
         return None
 
 
-def render_item(manifest: Manifest, vertices: F64, mesh: Mesh) -> Views:
-    """All views of the rig, without noise, of normalised vertices."""
+def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, directions: F64 | None = None) -> Views:
+    """Views without noise of normalised vertices (N, 3), from `directions` (V, 3) or all those of the rig."""
     camera = manifest.camera
-    R, T = look_from(rig_from_name(camera.rig), camera.distance)
+    R, T = look_from(rig_from_name(camera.rig) if directions is None else directions, camera.distance)
     depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
     return Views(depth, camera.K, R, T)
+
+
+def fuse_truth(manifest: Manifest, pyramid: DepthPyramid, resolution: int) -> GridOctree:
+    """The ground truth, out of all views of the rig without noise."""
+    truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
+    return occupied(truth) if manifest.target is Target.OCCUPANCY else truth
+
+
+def fuse_input(manifest: Manifest, pyramid: DepthPyramid, encoding: Encoding, resolution: int) -> GridOctree:
+    """An input, out of the views that it sees."""
+    return fuse(pyramid, encoding, resolution, manifest.normalise.extent, manifest.truncation(resolution))
 
 
 def observe(manifest: Manifest, views: Views, variant: Variant, noise: Noise) -> Views:

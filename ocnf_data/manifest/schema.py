@@ -30,8 +30,10 @@ from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refuse_repea
 from ocnf_data.manifest.entries import no_root
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
+from ocnf_data.manifest.mixture import MixtureSource
 from ocnf_data.manifest.modelnet import ModelNetSource
 from ocnf_data.manifest.shapes import ShapesSource
+from ocnf_data.manifest.synthesis import Synthesis
 from ocnf_data.views.rigs import intrinsics, rig_from_name, view_subset
 
 SCHEMA = 1
@@ -154,7 +156,8 @@ class Manifest(Strict):
     schema_version: Annotated[int, Field(alias="schema"), BeforeValidator(_known_schema)] = SCHEMA
     name: str
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
-    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource, Field(discriminator="kind")]
+    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource,
+                      Field(discriminator="kind")]
     normalise: Normalise = Normalise()
     camera: Camera = Camera()
     renderer: Literal["raster", "pyrender"] = "raster"
@@ -167,6 +170,8 @@ class Manifest(Strict):
     views: Literal["drop", "keep"] = "drop"
     """`keep`: the rendered depth stays in OUT/views, and later runs need not render again."""
     limits: Limits = Limits()
+    synthesis: Synthesis | None = None
+    """What `SynthesisDataset` draws for every sample; no part of what `generate` makes."""
 
     _folder: Path | None = PrivateAttr(default=None)
 
@@ -202,6 +207,9 @@ class Manifest(Strict):
             if variant.views > n:
                 raise refused(f"the rig {self.camera.rig} has fewer views", at=f"inputs[{i}].views",
                               found=variant.views, expected=f"1 to {n}")
+        if self.synthesis is not None and self.synthesis.views[1] > n:
+            raise refused(f"the rig {self.camera.rig} has fewer views", at="synthesis.views[1]",
+                          found=self.synthesis.views[1], expected=f"1 to {n}")
         if self.camera.distance <= self.normalise.radius:
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
@@ -215,7 +223,10 @@ class Manifest(Strict):
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved manifest, defaults filled in, in JSON's types."""
-        return self.model_dump(mode="json", by_alias=True)
+        fields = self.model_dump(mode="json", by_alias=True)
+        if self.synthesis is None:  # so data sets without it keep the bytes that they had before it existed
+            del fields["synthesis"]
+        return fields
 
     def canonical_json(self) -> str:
         """`to_dict` as JSON with sorted keys and no spaces: equal for equal manifests, so fit for hashing."""
@@ -244,7 +255,8 @@ class Manifest(Strict):
         Raises:
             OcnfError: neither is given.
         """
-        if isinstance(self.source, ShapesSource):
+        if isinstance(self.source, ShapesSource) or \
+                (isinstance(self.source, MixtureSource) and not self.source.reads_files):
             return None
         if override is not None:
             return Path(override).expanduser().absolute()

@@ -96,6 +96,7 @@ class TrainSettings(Strict):
     shuffle_buffer: Positive = 1024
     precision: Precision = Precision.FLOAT32
     on_error: OnError = OnError.RAISE
+    """What becomes of a damaged sample of a data set. (Bad meshes of a manifest give place to others.)"""
     checkpointing: bool = False
     """Keep fewer activations for the backward pass, and compute them again."""
     workers: Annotated[Int, Field(ge=0)] = 1
@@ -114,6 +115,10 @@ class TrainSettings(Strict):
     def stage(self, level: int) -> Stage:
         """How a level (from 0) is trained."""
         return self.stages[min(level, len(self.stages) - 1)]
+
+    def up_to(self, level: int, manifest: Mapping[str, Any]) -> list[int]:
+        """The resolutions of the levels (from 0) up to this one, coarse to fine."""
+        return list(self.resolutions or sorted(manifest["resolutions"])[: self.levels])[: level + 1]
 
     def resolved(self, manifest: Mapping[str, Any], variant: str | None, where: str) -> TrainSettings:
         """With what the data set says filled in.

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.loading.dataset import Batch, ShardDataset
+from ocnf_data.loading.epochs import EpochDataset
 from ocnf_model.checkpoint import (
     Architecture,
     Header,
@@ -51,7 +52,7 @@ class Job:
     folder: Path
     settings: TrainSettings
     network: OctNetFusion
-    training: ShardDataset
+    training: EpochDataset
     validation: ShardDataset
     facts: TrainingData
     target: str
@@ -241,7 +242,7 @@ def _is_finite(value: float) -> bool:
     return abs(value) < float("inf")
 
 
-def _loader(dataset: ShardDataset, job: Job) -> DataLoader[Batch]:
+def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
                       pin_memory=job.world.device.type == "cuda")
