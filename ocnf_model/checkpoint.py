@@ -41,6 +41,13 @@ class Architecture(Strict):
     output: Output
     channels: tuple[Positive, Positive, Positive]
     band: Real
+    context: Annotated[Int, Field(ge=0)] = 0
+    residual: bool = False
+
+    @classmethod
+    def of(cls, source: object) -> Architecture:
+        """That of a network, or of settings: anything that has these fields as attributes."""
+        return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
     def network(self, levels: int, checkpointing: bool = False) -> OctNetFusion:
         """A new network, with random weights."""
@@ -162,10 +169,9 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
     header = parse_header(path, fields)
     if header.level != level + 1:
         raise _misfit(path, "level", header.level, level + 1)
-    for field, expected in (("encoding", network.encoding), ("join", network.join), ("carry", network.carry),
-                            ("output", network.output), ("channels", network.channels),
-                            ("band", network.band)):
-        found = getattr(header.architecture, field)
+    own_architecture = Architecture.of(network)
+    for field in Architecture.model_fields:
+        found, expected = getattr(header.architecture, field), getattr(own_architecture, field)
         if found != expected:
             raise _misfit(path, field, found, expected)
     own = network.levels[level].state_dict()

@@ -15,7 +15,7 @@ from torch.utils.checkpoint import checkpoint
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
-from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
+from ocnf_model.ops import DenseContext, OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
 
@@ -90,16 +90,20 @@ class Level(nn.Module):
         channels: of the three resolutions.
         join: see `Join`.
         output: see `Output`.
+        context: width of the `DenseContext` before the bottom's convolutions; 0 for none (the paper).
+        residual: whether a convolution that keeps the number of channels adds its result to its input.
     """
 
-    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output) -> None:
+    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
+                 context: int = 0, residual: bool = False) -> None:
         super().__init__()
-        self.join, self.output, self.checkpointing = join, output, False
+        self.join, self.output, self.residual, self.checkpointing = join, output, residual, False
         wide, middle, deep = channels
         joined = 2 if join is Join.CONCAT else 1
         self.first = _convs(in_channels, wide)
         self.down1 = _convs(wide, middle)
         self.down2 = _convs(middle, middle, deep)
+        self.context = DenseContext(deep, context) if context else None
         self.bottom = _convs(deep, deep, deep, deep)
         self.up2 = _convs(joined * deep, middle, middle)
         self.up1 = _convs(joined * middle, wide, wide)
@@ -115,7 +119,10 @@ class Level(nn.Module):
         """(L, c_in) features to those of the decoder and of the head."""
         fine = self._run(self.down1, self._run(self.first, x))
         middle = self._run(self.down2, grid_pool(fine))
-        deep = self._run(self.bottom, grid_pool(middle))
+        deep = grid_pool(middle)
+        if self.context is not None:
+            deep = self.context(deep)
+        deep = self._run(self.bottom, deep)
         middle = self._run(self.up2, self._joined(deep, middle))
         features = self._run(self.up1, self._joined(middle, fine))
         if isinstance(self.head, nn.Linear):
@@ -130,10 +137,10 @@ class Level(nn.Module):
 
     def _run(self, convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
         if self.checkpointing and torch.is_grad_enabled():
-            result: OctreeBatch = checkpoint(_conv_relu, convs, x, use_reentrant=False,
+            result: OctreeBatch = checkpoint(_conv_relu, convs, x, self.residual, use_reentrant=False,
                                              preserve_rng_state=False)
             return result
-        return _conv_relu(convs, x)
+        return _conv_relu(convs, x, self.residual)
 
 
 class OctNetFusion(nn.Module):
@@ -158,6 +165,10 @@ class OctNetFusion(nn.Module):
         output: `tsdf` or `occupancy`.
         channels: of the three resolutions within a level; smaller ones make a smaller network.
         band: of `split_surface`, in fine voxels.
+        context: width of the first level's `DenseContext`, which looks at the whole volume; 0 for none (the
+            paper). Later levels get what it finds with the features that are carried up.
+        residual: whether convolutions that keep the number of channels add to their input; the paper's do
+            not.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
 
     Raises:
@@ -167,7 +178,7 @@ class OctNetFusion(nn.Module):
     def __init__(
         self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
-        band: float = 1, checkpointing: bool = False,
+        band: float = 1, context: int = 0, residual: bool = False, checkpointing: bool = False,
     ) -> None:
         super().__init__()
         self.encoding = _choice(Encoding, "encoding", encoding)
@@ -180,10 +191,11 @@ class OctNetFusion(nn.Module):
             raise OcnfError("not channels", where="OctNetFusion", field="channels", found=channels,
                             expected="three positive numbers")
         self.channels = channels[0], channels[1], channels[2]
-        self.band = band
+        self.band, self.context, self.residual = band, context, residual
         carried = self.channels[0] if self.carry is Carry.FEATURES else 1
         self.levels = nn.ModuleList(
-            Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output)
+            Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output,
+                  0 if level else context, residual)
             for level in range(levels)
         )
         self.set_checkpointing(checkpointing)
@@ -232,7 +244,8 @@ class OctNetFusion(nn.Module):
             raise OcnfError("no level before this one", where="OctNetFusion", field="level", found=level,
                             expected=f"1 to {len(self.levels) - 1}")
         before, own = self.levels[level - 1].state_dict(), self.levels[level].state_dict()
-        fitting = {name: value for name, value in before.items() if value.shape == own[name].shape}
+        fitting = {name: value for name, value in before.items()
+                   if name in own and value.shape == own[name].shape}
         self.levels[level].load_state_dict(fitting, strict=False)
         return [name for name in own if name not in fitting]
 
@@ -277,10 +290,13 @@ def _convs(*channels: int) -> nn.ModuleList:
     return nn.ModuleList(OctreeConv3d(a, b) for a, b in pairwise(channels))
 
 
-def _conv_relu(convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
+def _conv_relu(convs: nn.ModuleList, x: OctreeBatch, residual: bool) -> OctreeBatch:
     for conv in convs:
-        x = conv(x)
-        x = x.with_features(x.features.relu_())  # in place: a convolution does not need its result again
+        y = conv(x)
+        features = y.features.relu_()  # in place: a convolution does not need its result again
+        if residual and y.channels == x.channels:
+            features = features + x.features
+        x = y.with_features(features)
     return x
 
 

@@ -87,6 +87,11 @@ class TrainSettings(Strict):
     channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
     band: Annotated[Real, Field(gt=0)] = 1.0
     """Of the structure module, in fine voxels."""
+    context: Annotated[Int, Field(ge=0)] = 0
+    """Width of the first level's dense encoder-decoder that sees the whole volume, a multiple of 16;
+    0 for none (the paper)."""
+    residual: bool = False
+    """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """One for each level; the last one holds for all that follow."""
