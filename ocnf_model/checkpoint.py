@@ -134,22 +134,17 @@ class TrainedRun:
         """What the last level was trained on."""
         return self.headers[-1].data
 
-    def check_fits(self, where: str, *, encoding: str | None = None,
-                   truncation_voxels: float | None = None, resolutions: list[int] | None = None) -> None:
-        """Refuse data that mean something else than what the network was trained on.
+    def check_truncation(self, where: str, truncation_voxels: float) -> None:
+        """Refuse data whose distances are cut elsewhere than those the network was trained on.
 
         Raises:
-            OcnfError: code `misfit`, with the field.
+            OcnfError: code `misfit`.
         """
-        first = self.headers[0]
-        asked = (("encoding", encoding, str(first.architecture.encoding)),
-                 ("truncation_voxels", truncation_voxels, first.data.truncation_voxels),
-                 ("resolutions", resolutions, self.resolutions))
-        for field, found, expected in asked:
-            near = isinstance(found, float) and abs(found - float(str(expected))) < 1e-3
-            if found is not None and found != expected and not near:
-                raise OcnfError("the network was trained on something else", code="misfit", where=where,
-                                field=field, found=found, expected=f"{expected}, as in {self.path}")
+        expected = self.headers[0].data.truncation_voxels
+        if abs(truncation_voxels - expected) >= 1e-3:
+            raise OcnfError("the network was trained on something else", code="misfit", where=where,
+                            field="truncation_voxels", found=truncation_voxels,
+                            expected=f"{expected}, as in {self.path}")
 
 
 def save_checkpoint(folder: Path, header: Header, weights: Mapping[str, Tensor]) -> None:

@@ -149,8 +149,8 @@ class OctNetFusion(nn.Module):
     Level l takes the encoding at its resolution and, from the second on, what the level before carries up:
     split near its reconstructed surface and put side by side with the encoding. Input channels of a level,
     with the histogram's 10 and channels[0] = 16: 10 for the first; 26 for later ones carrying features, 11
-    carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `summary()`; with the defaults
-    606,113 for the first and 613,025 for each later level, 1,832,163 in all.
+    carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `ocnf-model info RUN`; with the
+    defaults 606,113 for the first and 613,025 for each later level, 1,832,163 in all.
 
     >>> network = OctNetFusion()
     >>> reconstructions = network([x64, x128, x256])        # OctreeBatch of 10 channels each
@@ -255,18 +255,6 @@ class OctNetFusion(nn.Module):
             if isinstance(module, Level):
                 module.checkpointing = on
 
-    def summary(self) -> str:
-        """A line a layer: where, kernel, channels, parameters; then the sum."""
-        lines = [f"{'layer':<22} {'kernel':<7} {'channels':>11} {'parameters':>12}"]
-        for name, module in self.named_modules():
-            if isinstance(module, OctreeConv3d | nn.Linear):
-                kernel, (out, into) = "3x3x3", module.weight.shape[:2]
-                if isinstance(module, nn.Linear):
-                    kernel = "1x1x1"
-                lines.append(f"{name:<22} {kernel:<7} {f'{into} -> {out}':>11} {_n_parameters(module):>12,}")
-        lines.append(f"{'all':<22} {'':<7} {'':>11} {_n_parameters(self):>12,}")
-        return "\n".join(lines)
-
     def _check(self, inputs: Sequence[OctreeBatch]) -> None:
         if not 1 <= len(inputs) <= len(self.levels):
             raise OcnfError("a wrong number of inputs", where="OctNetFusion", field="inputs",
@@ -298,10 +286,6 @@ def _conv_relu(convs: nn.ModuleList, x: OctreeBatch, residual: bool) -> OctreeBa
             features = features + x.features
         x = y.with_features(features)
     return x
-
-
-def _n_parameters(module: nn.Module) -> int:
-    return sum(parameter.numel() for parameter in module.parameters())
 
 
 def _choice(kind: type[_Choice], field: str, value: str) -> _Choice:

@@ -61,8 +61,7 @@ ARROWS = {
     "ocnf_data.views": "ocnf_data.arrays ocnf_data.errors ocnf_data.files",
     "ocnf_model": "ocnf_model.network ocnf_model.octree ocnf_model.ops",
     "ocnf_model.baselines":
-        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.fusion ocnf_data.octree "
-        "ocnf_data.views ocnf_model.metrics",
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.metrics",
     "ocnf_model.checkpoint":
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
         "ocnf_model.tensorfile",

@@ -16,7 +16,6 @@ import errno
 import os
 import re
 import secrets
-import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -114,10 +113,6 @@ class Store:
     def shared_between_processes(self) -> bool:
         """False for `memory://`, where what a worker process writes is lost."""
         return self.protocol != "memory"
-
-    def child(self, name: str) -> Store:
-        """The store of a folder in this one."""
-        return Store(self.where(name))
 
     def where(self, name: str) -> str:
         """The full path or URL of a file, for messages and for `Store` or fsspec elsewhere."""
@@ -233,15 +228,6 @@ class Store:
         with self.writing(name) as path:
             path.write_bytes(data)
 
-    def put_file(self, local: str | os.PathLike[str], name: str) -> None:
-        """Copy a local file to `name`; the local file stays. To write without a copy use `writing`."""
-        if self.root is None:
-            with storage_errors(self.where(name)):
-                self._put(Path(local), name)
-            return
-        with self.writing(name) as path:
-            shutil.copyfile(local, path)
-
     def remove(self, name: str) -> None:
         """Delete a file; one that is not there is no error."""
         with storage_errors(self.where(name)):
@@ -251,22 +237,22 @@ class Store:
             elif self.exists(name):
                 self._fs.rm_file(self._remote(name))
 
-    def clean_temporaries(self, folder: str = "") -> Sequence[str]:
-        """Remove what killed writers left in `folder` and below, and return the names.
+    def clean_temporaries(self) -> Sequence[str]:
+        """Remove what killed writers left, and return the names.
 
         Only where nobody is writing: a live writer's temporary looks the same.
         """
         if self.root is None:  # remote temporaries never get a name there
             return []
         with storage_errors(self.url):
-            left = sorted(name for name in self._walk(folder) if _is_temporary(name))
+            left = sorted(name for name in self._walk() if _is_temporary(name))
             for name in left:
                 (self.root / name).unlink(missing_ok=True)
         return left
 
     # ---- the two kinds of place
 
-    def _walk(self, folder: str) -> Iterator[str]:
+    def _walk(self, folder: str = "") -> Iterator[str]:
         assert self.root is not None
         base = self.root / _checked(folder) if folder else self.root
 

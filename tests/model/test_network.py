@@ -12,6 +12,7 @@ from torch.nn.functional import avg_pool3d, conv3d, interpolate, linear, max_poo
 import ocnf_model
 from ocnf_data.errors import OcnfError
 from ocnf_model import OctNetFusion, OctreeBatch
+from ocnf_model.info import layer_table
 from ocnf_model.losses import bce_loss, l1_loss
 
 SMALL = {"encoding": "tsdf", "channels": (2, 3, 4)}
@@ -35,7 +36,9 @@ def test_number_of_parameters(settings, first, later) -> None:
     network = OctNetFusion(**settings)
     counts = [sum(p.numel() for p in level.parameters()) for level in network.levels]
     assert counts == [first, first + later, first + later]
-    assert network.summary().splitlines()[-1].split() == ["all", f"{sum(counts):,}"]
+    table = layer_table(network, [64, 128, 256])
+    assert table.columns[-1].footer == f"{sum(counts):,}"
+    assert sum(int(str(cell).replace(",", "")) for cell in table.columns[-1].cells) == sum(counts)
 
 
 def dense_context(context, x: torch.Tensor) -> torch.Tensor:

@@ -23,9 +23,9 @@ from ocnf_data.shards.index import index_from_tar
 DRIVER = Path(__file__).with_name("driver.py")
 
 
-def start(manifest: Path, out: Path, root: Path, jobs: int) -> subprocess.Popen[str]:
+def start(manifest: Path, out: Path, root: Path, jobs: int, *maker: str) -> subprocess.Popen[str]:
     """A run in a process group of its own."""
-    command = [sys.executable, str(DRIVER), str(manifest), str(out), str(root), str(jobs)]
+    command = [sys.executable, str(DRIVER), str(manifest), str(out), str(root), str(jobs), *maker]
     return subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, text=True)
 
 
@@ -83,6 +83,46 @@ def test_killed_at_random_moments_and_resumed(job, tmp_path, contents, fake, job
     files = contents(out)
     assert files == contents(uninterrupted)
     assert len([name for name in files if name.endswith(".tar")]) == 6
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory, write_meshes, define, contents) -> tuple[Path, Path, dict[str, bytes]]:
+    """10 items in 5 shards, made by the real maker without interruption: (manifest, meshes, files)."""
+    folder = tmp_path_factory.mktemp("real")
+    write_meshes(folder / "meshes/chair/train", [f"m{i}" for i in range(10)])
+    (folder / "real.yaml").write_text(json.dumps(define(shards={"samples": 2}).to_dict()))
+    generate(folder / "real.yaml", folder / "out", folder / "meshes", progress=False)
+    return folder / "real.yaml", folder / "meshes", contents(folder / "out")
+
+
+def items_done(out: Path) -> int:
+    """Of a run of shards of two items, those of the shard in the making included."""
+    finished = {path.stem.removeprefix("shard-") for path in out.glob("train/shard-*.json")}
+    live = 0
+    for path in out.glob(".progress/train-*"):
+        with contextlib.suppress(OSError):  # its shard was finished while we looked
+            live += path.stat().st_size * (path.name.removeprefix("train-") not in finished)
+    return 2 * len(finished) + live
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_real_samples_are_the_same_after_kills(real, tmp_path, contents, jobs) -> None:
+    """Killed after a random number of items, within a shard or between two, then resumed: the same bytes."""
+    manifest, root, uninterrupted = real
+    maker, out = "ocnf_data.generation.sample:maker", tmp_path / "killed"
+    chance = random.Random(jobs)
+    for n_items in sorted(chance.sample(range(1, 8), 2)):
+        run = start(manifest, out, root, jobs, maker)
+        while items_done(out) < n_items and run.poll() is None:
+            time.sleep(0.002)
+        os.killpg(run.pid, signal.SIGKILL)
+        finish(run)
+        assert run.returncode == -signal.SIGKILL
+        assert not (out / "dataset.json").exists()
+    run = start(manifest, out, root, jobs, maker)
+    finish(run)
+    assert run.returncode == 0
+    assert contents(out) == uninterrupted
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
