@@ -23,7 +23,7 @@ class ListEntry(Strict):
     category: Annotated[str, Field(min_length=1)] = "mesh"
     """Its category, by which the loader selects and the evaluation groups."""
     key: str | None = None
-    """Name of the sample; letters, digits, _ and -, each once. None derives it from the path."""
+    """Name of the sample; letters, digits, `_` and `-`, each once. None derives it from the path."""
 
     @model_validator(mode="after")
     def _plain_key(self) -> ListEntry:

@@ -1,7 +1,7 @@
 """What a data set is: a typed, validated manifest, written as YAML.
 
->>> manifest = load_manifest("manifests/demo.yaml")                       # doctest: +SKIP
->>> manifest.inputs[0].views, manifest.truncation(256)                    # doctest: +SKIP
+>>> manifest = load_manifest("manifests/demo.yaml")
+>>> manifest.inputs[0].views, round(manifest.truncation(256), 6)
 (4, 0.025)
 
 Every field but `name`, `source` and `inputs` has a default, the paper's setting. `to_dict` fills them all in:
@@ -66,8 +66,8 @@ class Camera(Strict):
     """The virtual cameras: `rig` names the directions, the rest is one pinhole for all of them (pixels)."""
 
     rig: str = "published80"
-    """`published80`, `icosphereN` (20 * 4^N directions, N up to 5) or `fibonacciN` (N directions, up to 20480).
-    `published80` are the 80 directions of the paper's published code."""
+    """`published80` (the 80 directions of the paper's published code), `icosphereN` (20 * 4^N directions, N
+    up to 5) or `fibonacciN` (N directions, up to 20480)."""
     width: Annotated[Int, Field(ge=1, le=8192)] = 640
     """Columns of the image, pixels."""
     height: Annotated[Int, Field(ge=1, le=8192)] = 480
@@ -113,9 +113,11 @@ class Variant(Strict):
     """One kind of input: `views` of the rig, with noise, in one or more encodings at every resolution."""
 
     name: str
-    """The first part of the names of its octrees; letters, digits and _, each name once, not `target`."""
+    """The first part of the names of its octrees; letters, digits and `_`, each name
+    once, not `target`."""
     views: Annotated[Int, Field(ge=1)]
-    """How many views of the rig it sees, at most all; they are `linspace(0, N - 1, views)` cut to integers."""
+    """How many views of the rig it sees, at most all; of N views
+    `linspace(0, N - 1, views)`, cut to integers."""
     sigma: Annotated[Real, Field(ge=0, le=1)] = 0.0
     """Standard deviation of the depth noise as a fraction of the depth."""
     encodings: Annotated[tuple[Encoding, ...], NotEmpty]
@@ -168,9 +170,9 @@ class Manifest(Strict):
     schema_version: Annotated[int, Field(alias="schema"), BeforeValidator(_known_schema)] = SCHEMA
     """Version of the manifest's format."""
     name: str
-    """Name of the data set; letters, digits, _, - and ."""
+    """Name of the data set; letters, digits, `_`, `-` and `.`, not `-` or `.` at first."""
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
-    """Of everything that is drawn: procedural shapes, splits of a folder, the order of the items, the noise."""
+    """Of everything that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
     source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource, Field(discriminator="kind")]
     """The meshes and their splits; `kind` says which of the four."""
     normalise: Normalise = Normalise()
