@@ -152,10 +152,11 @@ class OctNetFusion(nn.Module):
     carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `ocnf-model info RUN`; with the
     defaults 606,113 for the first and 613,025 for each later level, 1,832,163 in all.
 
-    >>> network = OctNetFusion()
-    >>> reconstructions = network([x64, x128, x256])        # OctreeBatch of 10 channels each
-    >>> reconstructions[2].features.shape                   # TSDF / tau on its own structure
-    torch.Size([1041277, 1])
+    >>> inputs = [OctreeBatch.full(torch.zeros(2, 10, side, side, side)) for side in (32, 64)]
+    >>> network = OctNetFusion(levels=2, channels=(2, 4, 8))
+    >>> coarse, fine = network(inputs)                       # TSDF / tau, each on its own structure
+    >>> coarse.to_dense().shape, fine.to_dense().shape
+    (torch.Size([2, 1, 32, 32, 32]), torch.Size([2, 1, 64, 64, 64]))
 
     Args:
         encoding: of the inputs, an `Encoding`.

@@ -20,11 +20,13 @@ from ocnf_model.octree.structure import Structure
 class OctreeBatch:
     """B piecewise-constant volumes of C channels on grid-octrees of one size, with different structures.
 
-    >>> batch = OctreeBatch.from_grids([octree_a, octree_b])      # 64^3, 10 channels
-    >>> batch.features.shape                                      # leaves of a, then of b
-    torch.Size([33658, 10])
+    >>> from ocnf_model import OctreeConv3d
+    >>> empty = GridOctree.from_dense(np.zeros((10, 32, 32, 32), np.float32))     # 4^3 trees of one leaf
+    >>> batch = OctreeBatch.from_grids([empty, empty])
+    >>> batch.features.shape                                      # leaves of the first, then of the second
+    torch.Size([128, 10])
     >>> OctreeConv3d(10, 16)(batch).to_dense().shape
-    torch.Size([2, 16, 64, 64, 64])
+    torch.Size([2, 16, 32, 32, 32])
 
     Attributes:
         structure: the trees; shared with other batches.
