@@ -69,12 +69,16 @@ ARROWS = {
         "ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
-        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.loading "
-        "ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal ocnf_model.baselines "
-        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.metrics ocnf_model.network "
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
+        "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render "
+        "ocnf_data.shards ocnf_data.terminal ocnf_model.baselines ocnf_model.checkpoint "
+        "ocnf_model.devices ocnf_model.measures ocnf_model.metrics ocnf_model.network "
         "ocnf_model.octree",
     "ocnf_model.info": "ocnf_model.checkpoint ocnf_model.network ocnf_model.ops ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
+    "ocnf_model.measures":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.octree ocnf_data.views ocnf_model.losses "
+        "ocnf_model.octree",
     "ocnf_model.metrics": "ocnf_data.octree ocnf_model.losses ocnf_model.octree",
     "ocnf_model.network": "ocnf_data.encodings ocnf_data.errors ocnf_model.octree ocnf_model.ops",
     "ocnf_model.octree": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree",
@@ -116,6 +120,7 @@ BORROWED = """
     ocnf_data.files.validation
     ocnf_data.fusion
     ocnf_data.generation
+    ocnf_data.generation.remake
     ocnf_data.loading.arguments
     ocnf_data.loading.augment
     ocnf_data.loading.dataset
@@ -125,6 +130,7 @@ BORROWED = """
     ocnf_data.octree
     ocnf_data.octree.bits
     ocnf_data.octree.surface
+    ocnf_data.octree.triangles
     ocnf_data.render.shade
     ocnf_data.shards
     ocnf_data.shards.dataset

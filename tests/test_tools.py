@@ -15,7 +15,7 @@ from ocnf_data.octree import GridOctree
 from ocnf_data.shards import browse
 from ocnf_data.shards.browse import StoredSample, find_sample, stored_samples
 from ocnf_model.evaluation.run import Evaluation
-from ocnf_model.evaluation.tables import ALL, Summary
+from ocnf_model.evaluation.summary import ALL, Summary
 
 TOOLS = Path(__file__).parent.parent / "tools"
 

@@ -21,7 +21,7 @@ from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.terminal import print_error
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.evaluation.run import WEIGHTS_FILE, Evaluation, run_choose_weight, run_evaluate
-from ocnf_model.evaluation.tables import ALL
+from ocnf_model.evaluation.summary import ALL
 from ocnf_model.training.run import train
 from ocnf_model.training.settings import Decay, Stage, TrainSettings
 

@@ -40,7 +40,7 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     except ImportError as error:
         raise OcnfError("marching cubes needs scikit-image", code="missing_extra",
                         fix="pip install 'ocnf[generate]'") from error
-    cropped, first_tree = _occupied(octree, level)
+    cropped, first_tree = occupied_box(octree, level)
     if cropped is None:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     values = np.pad(cropped.to_dense()[0], 1, constant_values=1.0) - np.float32(level)
@@ -55,7 +55,7 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     return (index + 0.5 - middle) * size + centre, faces.astype(np.int64)
 
 
-def _occupied(octree: GridOctree, level: float) -> tuple[GridOctree | None, I64]:
+def occupied_box(octree: GridOctree, level: float = 0.0) -> tuple[GridOctree | None, I64]:
     """The box of trees around all that are not wholly free, and its first tree (gd, gh, gw).
 
     None in place of the box where nothing lies below `level`.

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.render.shade import shade
-from ocnf_model.evaluation.measure import Surface
+from ocnf_model.evaluation.measure import TRUTH, MeshArrays, Row
 
-TRUTH = "Ground truth"
 _INCHES = 2.6
 _PIXELS = 420
 
 
-def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: str = "z") -> bytes:
+def caption(row: Row) -> str:
+    """What stands below a reconstruction: its errors."""
+    surface = row.surface
+    parts = [(row.mad_mm, f"MAD {row.mad_mm:.2f} mm"), (surface.f_score, f"F {surface.f_score:.2f}"),
+             (surface.chamfer_voxels, f"Chamfer {surface.chamfer_voxels:.2f} voxels")]
+    return ", ".join(text for value, text in parts if not math.isnan(value))
+
+
+def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up: str = "z",
+                  captions: Mapping[tuple[int, str], str] | None = None) -> bytes:
     """A PNG of one model's surfaces.
 
     Args:
@@ -24,6 +33,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
             What is missing leaves its place empty.
         title: above all.
         up: which axis points up.
+        captions: a line below each, likewise; None for none.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -50,6 +60,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
             ax.spines[:].set_visible(False)
             if row == 0:
                 ax.set_title(method, fontsize=11)
+            ax.set_xlabel((captions or {}).get((resolution, method), ""), fontsize=7, labelpad=2)
             if column == 0:
                 ax.set_ylabel(f"{resolution}³", fontsize=11)
     figure.suptitle(title, fontsize=11)

@@ -13,6 +13,7 @@ from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_model.evaluation.methods import Method
+from ocnf_model.measures.regions import EXACT, NEARLY
 
 _VOLFUS_SOURCES = (Encoding.TSDF, Encoding.TDF_OCCUPANCY, Encoding.HISTOGRAM)  # the best one first
 
@@ -28,6 +29,8 @@ class DatasetFacts:
         is_occupancy: whether the ground truth is occupancy, not TSDF.
         truncation_voxels: tau in voxels of any resolution.
         taus: the same in metres, by resolution.
+        extent: size of the cube in metres.
+        source: kind of what the data set was made of: `shapes`, `folder`, ...
     """
 
     url: str
@@ -36,6 +39,8 @@ class DatasetFacts:
     is_occupancy: bool
     truncation_voxels: float
     taus: Mapping[int, float]
+    extent: float
+    source: str
 
     @classmethod
     def read(cls, url: str) -> DatasetFacts:
@@ -52,6 +57,8 @@ class DatasetFacts:
                 is_occupancy=manifest["target"] == "occupancy",
                 truncation_voxels=voxels,
                 taus={resolution: voxels * extent / resolution for resolution in resolutions},
+                extent=extent,
+                source=str(manifest["source"]["kind"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise OcnfError("the data set's manifest lacks what evaluation needs", code="damaged", where=url,
@@ -60,10 +67,23 @@ class DatasetFacts:
 
 @dataclass(frozen=True)
 class VariantPlan:
-    """What a variant is evaluated with: for each method the stored encoding that it takes."""
+    """What a variant is evaluated with.
+
+    Attributes:
+        variant: its name.
+        sources: for each method the stored encoding that it takes.
+        seen: the stored encoding that tells best which voxels the inputs see; None where none does.
+    """
 
     variant: str
     sources: Mapping[Method, Encoding]
+    seen: Encoding | None = None
+
+    @property
+    def encodings(self) -> list[Encoding]:
+        """What is read, each once."""
+        wanted = [*self.sources.values(), *([] if self.seen is None else [self.seen])]
+        return list(dict.fromkeys(wanted))
 
     def is_approximate(self, method: Method) -> bool:
         """Whether the method is VolFus from a histogram."""
@@ -99,7 +119,8 @@ def plan_variants(facts: DatasetFacts, methods: Sequence[Method], encoding: Enco
             else:
                 sources[method] = found
         if sources:
-            plans.append(VariantPlan(variant, sources))
+            seen = next((one for one in (*EXACT, *NEARLY) if one in stored), None)
+            plans.append(VariantPlan(variant, sources, seen))
             if sources.get(Method.VOLFUS) is Encoding.HISTOGRAM:
                 notes.append(f"VolFus* of {variant} is the mean of the histogram, an approximation; add tsdf "
                              "to the encodings of the data set's inputs to have it exactly")
@@ -113,10 +134,15 @@ def plan_variants(facts: DatasetFacts, methods: Sequence[Method], encoding: Enco
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """One sample: octrees by resolution, inputs by encoding first."""
+    """One sample: octrees by resolution, inputs by encoding first.
+
+    Attributes:
+        facts: the sample's `json` member.
+    """
 
     key: str
     category: str
+    facts: Mapping[str, Any]
     truths: Mapping[int, GridOctree]
     inputs: Mapping[Encoding, Mapping[int, GridOctree]]
 
@@ -162,6 +188,7 @@ class Models:
         return Model(
             key=first.keys[0],
             category=first.categories[0],
+            facts=first.meta[0],
             truths={resolution: octrees.grids()[0] for resolution, octrees in first.targets.items()},
             inputs={encoding: {resolution: octrees.grids()[0] for resolution, octrees in batch.inputs.items()}
                     for encoding, batch in zip(self._encodings, batches, strict=True)},

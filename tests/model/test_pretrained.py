@@ -14,7 +14,7 @@ from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
 from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS
 from ocnf_model.evaluation.run import run_evaluate
-from ocnf_model.evaluation.tables import ALL
+from ocnf_model.evaluation.summary import ALL
 from ocnf_model.evaluation.weights import read_weights
 
 FOLDER = Path(str(files("ocnf_model"))) / "pretrained"

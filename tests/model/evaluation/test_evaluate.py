@@ -23,11 +23,11 @@ from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.baselines import tvl1
 from ocnf_model.cli import app
-from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
-from ocnf_model.evaluation.measure import Row
+from ocnf_model.evaluation.figure import draw_surfaces
+from ocnf_model.evaluation.measure import TRUTH, Row
 from ocnf_model.evaluation.methods import default_weight
 from ocnf_model.evaluation.run import Evaluation, evaluate, run_choose_weight, run_evaluate
-from ocnf_model.evaluation.tables import summarise
+from ocnf_model.evaluation.summary import summarise
 
 RESOLUTIONS = (32, 64)
 
