@@ -18,7 +18,7 @@ import pytest
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
 from ocnf_data.generation import fingerprint, generate
-from ocnf_data.shards.index import index_from_tar
+from ocnf_data.shards.walk import index_from_tar
 
 DRIVER = Path(__file__).with_name("driver.py")
 

@@ -184,7 +184,7 @@ def test_no_access_is_not_damage(fresh, monkeypatch):
     def fail(*arguments):
         raise OcnfError("cannot be reached", code="unreachable")
 
-    monkeypatch.setattr("ocnf_data.loading.fetch.check_size", fail)
+    monkeypatch.setattr("ocnf_data.shards.reader.check_size", fail)
     with pytest.raises(OcnfError, match="cannot be reached"):
         list(dataset)
 
