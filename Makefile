@@ -47,7 +47,7 @@ docs: setup
 
 # On procedural shapes, or on real meshes laid out as ModelNet with MESHES=DIR.
 bench: setup
-	@for of in octree codec fusion loader conv tvl1; do echo; $(BIN)/python tools/bench/$$of.py || exit 1; done
+	@for of in octree codec fusion loader catalogue plan conv tvl1; do echo; $(BIN)/python tools/bench/$$of.py || exit 1; done
 	@$(BIN)/python tools/bench/render.py $(if $(MESHES),"$(MESHES)")
 	@$(BIN)/python tools/bench/generate.py $(if $(MESHES),--meshes "$(MESHES)")
 

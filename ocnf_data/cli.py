@@ -136,7 +136,7 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import find_damaged, quarantine, restore_index
+    from ocnf_data.verify.repair import find_damaged, quarantine, restore_catalogues, restore_index
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
@@ -151,6 +151,8 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
         else:
             lost.append(shard)
     if not lost:
+        for name in restore_catalogues(folder):
+            _out.print(f"{name} was written anew from the indices", highlight=False)
         return
     # Whatever stands in the way of making them again is said before anything is set aside.
     adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))

@@ -50,7 +50,8 @@ ARROWS = {
     "ocnf_data.render":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
     "ocnf_data.shapes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes",
-    "ocnf_data.shards": "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree",
+    "ocnf_data.shards":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree",
     "ocnf_data.synthesis":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.meshes ocnf_data.octree "

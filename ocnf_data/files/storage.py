@@ -140,6 +140,28 @@ class Store:
                 return path.read_bytes()
             return cast(bytes, self._fs.cat_file(self._remote(name)))
 
+    def read_at_most(self, name: str, limit: int) -> bytes:
+        """The whole file, if it has at most `limit` bytes: one request, and nothing larger is ever held.
+
+        Raises:
+            OcnfError: code `missing` where there is no such file, `too_large` where it is longer.
+        """
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if path is not None:
+                if not path.is_file():  # opening a pipe would wait for ever
+                    raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
+                with path.open("rb", buffering=0) as file:
+                    size = os.fstat(file.fileno()).st_size
+                    data = _read_exactly(file, size) if size <= limit else b""
+            else:
+                data = self._read_start(name, limit + 1)
+                size = len(data)
+        if size > limit:
+            raise OcnfError("the file is too large", code="too_large", where=self.where(name),
+                            expected=f"at most {limit} bytes")
+        return data
+
     def read_range(self, name: str, offset: int, size: int) -> bytes:
         """Exactly `size` bytes from `offset`.
 
@@ -284,6 +306,17 @@ class Store:
     def _info(self, name: str) -> dict[str, Any]:
         self._fs.invalidate_cache()  # another process may have written since
         return cast(dict[str, Any], self._fs.info(self._remote(name)))
+
+    def _read_start(self, name: str, end: int) -> bytes:
+        """The first `end` bytes of a remote file, or all that it has."""
+        try:
+            return cast(bytes, self._fs.cat_file(self._remote(name), start=0, end=end))
+        except FileNotFoundError:
+            raise
+        except Exception:  # of an empty file, servers refuse every range
+            if self.size(name) == 0:
+                return b""
+            raise
 
     def _put(self, path: Path, name: str) -> None:
         options = {}

@@ -170,7 +170,7 @@ class ShardDataset(EpochDataset):
     @property
     def keys(self) -> tuple[str, ...]:
         """Keys of all samples, of all ranks, in the data sets' own order."""
-        return self._catalogue.keys
+        return tuple(self._catalogue.keys)
 
     @property
     def manifest(self) -> dict[str, Any]:

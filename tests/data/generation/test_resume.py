@@ -17,8 +17,10 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
+from ocnf_data.files.storage import Store
 from ocnf_data.generation import fingerprint, generate
-from ocnf_data.shards.index import index_from_tar
+from ocnf_data.shards import load_dataset, write_dataset
+from ocnf_data.shards.walk import index_from_tar
 
 DRIVER = Path(__file__).with_name("driver.py")
 
@@ -189,6 +191,65 @@ def test_a_finished_data_set_is_left_as_it_is(meshes, define, tmp_path, contents
     assert contents(out) == before
 
 
+def test_stopped_before_any_write_and_resumed(meshes, define, tmp_path, contents, fake, monkeypatch) -> None:
+    """Each file that the driver writes is the last one, in turn; `dataset.json` comes after all others."""
+    root = meshes([*(f"ok_{i}" for i in range(5)), "refuse_1"])
+    begun: list[str] = []
+    written: list[str] = []
+    writing = Store.writing
+
+    @contextlib.contextmanager
+    def counted(store, name):
+        if len(begun) == stop:
+            raise KeyboardInterrupt
+        begun.append(name)
+        with writing(store, name) as path:
+            yield path
+        written.append(name)
+
+    monkeypatch.setattr(Store, "writing", counted)
+    stop = -1
+    generate(define(), tmp_path / "whole", root, progress=False)
+    names = [name for name in written if not name.startswith("timings/")]
+    assert names[0] == "plan.json"
+    assert names[-3:] == ["failures.jsonl", "train/catalogue.safetensors", "dataset.json"]
+    assert set(names[:-3]) >= {"train/shard-000001.json", "train/shard-000001.tar"}
+    for n in range(len(written)):
+        out = tmp_path / f"stopped-{n}"
+        begun.clear()
+        stop = n
+        with pytest.raises(KeyboardInterrupt):
+            generate(define(), out, root, progress=False)
+        assert not (out / "dataset.json").exists()
+        stop = -1
+        generate(define(), out, root, progress=False)
+        assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_a_data_set_of_an_earlier_version_gains_its_catalogue(
+        meshes, define, tmp_path, contents, fake) -> None:
+    root, out = meshes([f"ok_{i}" for i in range(6)]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before, info = contents(out), load_dataset(str(out))
+    (out / "train/catalogue.safetensors").unlink()
+    files = tuple(entry for entry in info.files if "catalogue" not in entry.name)
+    write_dataset(Store(out), info.model_copy(update={"files": files}))
+    assert load_dataset(str(out)).checksum == info.identity
+    assert generate(define(), out, root, progress=False).made == 0
+    assert contents(out) == before
+
+
+def test_a_lost_or_changed_catalogue_is_written_again(meshes, define, tmp_path, contents, fake) -> None:
+    root, out = meshes([f"ok_{i}" for i in range(6)]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    catalogue = out / "train/catalogue.safetensors"
+    for damage in (catalogue.unlink, lambda: catalogue.write_bytes(b"x")):
+        damage()
+        assert generate(define(), out, root, progress=False).made == 0
+        assert contents(out) == before
+
+
 @pytest.mark.parametrize("what", ["tar", "json"])
 def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents, fake, what) -> None:
     root, out = meshes([f"ok_{i}" for i in range(8)]), tmp_path / "out"
@@ -200,14 +261,17 @@ def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents
     assert contents(out) == before
 
 
-def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, fake) -> None:
+def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, contents, fake) -> None:
     """`dataset.json` vouches for bytes; a mended data set must have those, or be left without them."""
     root, out = meshes(["ok_1", "segfault-unfixed_1"]), tmp_path / "out"
     generate(define(limits={"failure_threshold": 1.0}), out, root, progress=False)
     (root / ".fixed").touch()
     (out / "train/shard-000000.json").unlink()
+    before = contents(out)
     with pytest.raises(OcnfError, match="not the one that dataset"):
         generate(define(), out, root, progress=False)
+    for name in ("dataset.json", "failures.jsonl", "train/catalogue.safetensors"):
+        assert (out / name).read_bytes() == before[name]
 
 
 @pytest.mark.parametrize(("changes", "field", "values"), [

@@ -33,7 +33,7 @@ from ocnf_data.shards import (
     load_dataset,
     write_dataset,
 )
-from ocnf_data.shards.index import index_from_tar
+from ocnf_data.shards.walk import index_from_tar
 from ocnf_data.verify.verify import verify
 
 Members = dict[str, bytes]

@@ -18,7 +18,7 @@ from ocnf_data.shards import (
     DatasetInfo,
     FileEntry,
     ShardWriter,
-    is_complete,
+    find_complete,
     load_dataset,
     write_dataset,
 )
@@ -161,7 +161,7 @@ def test_a_set_in_memory(octree_samples: list[tuple[str, Members]], write_set: C
     assert quarantine(store, TAR) == [f"quarantine/{INDEX}", f"quarantine/{TAR}"]
     assert store.read_bytes(f"quarantine/{TAR}") == bytes(blob)
     assert not store.exists(TAR)
-    assert not is_complete(store, "train", 0)
+    assert not find_complete(store, "train", 0)
 
 
 def test_repair_makes_the_data_set_whole_again(octree_set: Store,
