@@ -42,7 +42,7 @@ class FusedMesh:
         region: what was fused.
         resolution: voxels along the cube.
         seconds: fusion and reconstruction, without reading the scan and without marching cubes.
-        notes: what the reader left out.
+        notes: what the reader left out or assumed, and what it warns of.
     """
 
     vertices: F64
@@ -157,7 +157,7 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
     if not len(faces):
         raise OcnfError("no surface was found in the region", code="empty", field="box",
                         found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
-    return FusedMesh(vertices, faces, region, fuser.resolution, seconds, scan.notes)
+    return FusedMesh(vertices, faces, region, fuser.resolution, seconds, (*scan.notes, *scan.warnings))
 
 
 def _only(vertices: F64, faces: I64, kept: Bool) -> tuple[F64, I64]:
