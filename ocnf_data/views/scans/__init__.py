@@ -107,7 +107,7 @@ def _direction(poses: str | None) -> Direction | None:
 
 
 def _whole(crop: Sequence[int]) -> tuple[int, int, int, int]:
-    if len(crop) != 4:
+    if len(crop) != 4 or any(n != int(n) for n in crop):
         raise OcnfError("not a crop", where="read_scan", field="crop", found=tuple(crop),
                         expected="pixels (left, top, right, bottom)")
     left, top, right, bottom = (int(n) for n in crop)

@@ -16,6 +16,8 @@ import numpy as np
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views
+from ocnf_data.views.scans.listing import Axes
+from ocnf_data.views.scans.poses import FLIP
 
 _PAIRS = 60
 _STEPS = (1, 2, 4)  # how far apart in order the two frames of a pair are
@@ -24,7 +26,7 @@ _TOLERANCE, _LEAST = 0.03, 0.03  # of the distance; metres
 _ENOUGH = 200  # depths to compare; fewer say nothing
 _FEW = 0.3  # less than this share agreeing is worth a warning
 _BETTER = 0.1  # another reading has to agree by this much more to be named
-_MILLIMETRES = 1e-3
+_MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under it to be sure
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,21 @@ class Agreement:
                "with the poses the other way round"
 
 
-def agreement(views: Views) -> Agreement:
-    """Compare pairs of frames that are near in order."""
+def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
+    """Compare pairs of frames that are near in order.
+
+    Args:
+        views: as they were read.
+        axes: of the cameras in the file's pose matrices, which the other way round is about.
+    """
     to_world = np.tile(np.eye(4), (len(views), 1, 1))
     to_world[:, :3, :3] = views.R.swapaxes(1, 2)
     to_world[:, :3, 3] = -np.einsum("vji,vj->vi", views.R, views.T)
     small = to_world.copy()
     small[:, :3, 3] *= _MILLIMETRES
     compared, share = _share(views, to_world)
-    _, inverse = _share(views, np.linalg.inv(to_world).astype(np.float64))
+    flip = FLIP if axes is Axes.OPENGL else np.eye(4)
+    _, inverse = _share(views, np.linalg.inv(to_world @ flip) @ flip)
     _, millimetres = _share(views, small)
     return Agreement(compared, share, inverse, millimetres)
 
@@ -72,7 +80,7 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     depth = views.depth[np.isfinite(views.depth) & (views.depth > 0)]
     typical = float(np.median(depth)) if depth.size else 1.0
     weak = not found.share >= _FEW  # NaN is weak
-    if weak and found.millimetres > max(_FEW, 2 * np.nan_to_num(found.share)) and spread > 20 * typical:
+    if weak and found.millimetres > _SURE and spread > 20 * typical:
         raise OcnfError(
             "the translations of the poses look like millimetres", where=where,
             found=f"cameras spread over {spread:.4g} with depths of {typical:.2g} m; read as metres "

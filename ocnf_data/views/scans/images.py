@@ -36,9 +36,9 @@ def read_depth(file: Path) -> npt.NDArray[Any]:
     data = _read(file)
     _size(file, data)
     if file.suffix.lower() == ".npy":
-        image = np.load(io.BytesIO(data), allow_pickle=False)
+        image = _npy(file, data)
     elif data.startswith(b"P5"):
-        image = _pgm(data)
+        image = _pgm(file, data)
     else:
         image = _decode(file, data, colour=False)
     if image.ndim == 3 and image.shape[2] == 1:
@@ -122,12 +122,21 @@ def _jpeg_size(file: Path, data: bytes) -> tuple[int, int]:
     raise OcnfError("the JPEG is cut off or damaged", code="damaged", where=file)
 
 
-def _pgm(data: bytes) -> npt.NDArray[Any]:
+def _npy(file: Path, data: bytes) -> npt.NDArray[Any]:
+    try:
+        return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
+    except (ValueError, EOFError, OSError) as error:
+        raise OcnfError("the NPY is cut off or damaged", code="damaged", where=file) from error
+
+
+def _pgm(file: Path, data: bytes) -> npt.NDArray[Any]:
     """The numbers as they are stored; OpenCV would scale those whose maximum is not 255 or 65535."""
     match = _PNM.match(data)
     assert match is not None  # `_size` has seen it
     width, height, most = (int(match[i]) for i in (2, 3, 4))
     kind = np.dtype(np.uint8 if most < 256 else ">u2")
+    if len(data) < match.end() + width * height * kind.itemsize:
+        raise OcnfError("the PGM is cut off", code="damaged", where=file)
     return np.frombuffer(data, kind, width * height, match.end()).reshape(height, width).astype(
         kind.newbyteorder("="))
 

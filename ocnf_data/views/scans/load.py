@@ -59,7 +59,7 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     unit = listing.unit if said.depth_scale is None else 1 / said.depth_scale
     depth = _crop(_read_depths(chosen, unit, where, report), said.crop, where)
     views = Views(depth, K, R, T)
-    found = agreement(views)
+    found = agreement(views, listing.axes)
     warnings = tuple(judge(found, views, where))
     return Scan(views, tuple(frame.name for frame in chosen), listing.cube, tuple(notes), _colour(chosen, K),
                 format_name, found, warnings)

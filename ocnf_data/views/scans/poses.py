@@ -11,7 +11,8 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import check_rotation
 from ocnf_data.views.scans.listing import Axes, Direction
 
-_FLIP = np.diag([1.0, -1.0, -1.0])  # OpenCV's camera axes in OpenGL's
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Between OpenCV's camera axes and OpenGL's, either way."""
 
 
 def to_camera(poses: F64, names: Sequence[object], direction: Direction, axes: Axes,
@@ -40,7 +41,7 @@ def to_camera(poses: F64, names: Sequence[object], direction: Direction, axes: A
         turn = turn.swapaxes(1, 2)
         shift = -np.einsum("vij,vj->vi", turn, shift)
     if axes is Axes.OPENGL:
-        turn, shift = _FLIP @ turn, shift @ _FLIP
+        turn, shift = FLIP[:3, :3] @ turn, shift @ FLIP[:3, :3]
     return turn, shift
 
 

@@ -101,7 +101,7 @@ class Scan:
         R, T = to_camera(matrices, [f"Scan.from_arrays: {name}" for name in called], Direction(direction),
                          Axes(axes))
         views = Views(metres, np.asarray(K, dtype=np.float64), R, T)
-        found = agreement(views)
+        found = agreement(views, Axes(axes))
         return cls(views, called, colour=_colour(colour, views), agreement=found,
                    warnings=tuple(judge(found, views, "Scan.from_arrays")))
 
