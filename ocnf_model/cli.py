@@ -173,7 +173,8 @@ def choose_weight_command(
 def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(
-        metavar="SCAN", help="Depth with poses: `views.h5::KEY`, or a folder of frames.")],
+        metavar="SCAN", help="Depth with poses: `views.h5::KEY`, or a folder: 7-Scenes, TUM RGB-D, "
+                             "Open3D, transforms.json, ScanNet, Voxlets.")],
     out: Annotated[Path, typer.Option(metavar="MESH", help="The mesh to write: .ply, .obj, .off or .stl.")],
     box: Annotated[tuple[float, float, float, float, float, float] | None, typer.Option(
         metavar="X0 Y0 Z0 X1 Y1 Z1",
@@ -184,14 +185,34 @@ def fuse_command(
     device: Device = "auto",
     weight: Annotated[float | None, typer.Option(help="Of TV-L1.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Take every n-th frame only.")] = 1,
+    frames: Annotated[str | None, typer.Option(
+        metavar="N|A:B:C", help="How many frames, evenly spread, or a range of them. [all]")] = None,
+    format_: Annotated[str | None, typer.Option(
+        "--format", metavar="NAME",
+        help="7scenes, tum, open3d, transforms, scannet or voxlets. [what the folder holds]")] = None,
+    depth_scale: Annotated[float | None, typer.Option(
+        help="Units of the stored depth in a metre. [the format's]")] = None,
+    intrinsics: Annotated[str | None, typer.Option(
+        metavar="FX,FY,CX,CY", help="Of the depth maps, pixels. [the scan's]")] = None,
+    poses: Annotated[str | None, typer.Option(
+        metavar="DIRECTION", help="camera-to-world or world-to-camera. [the format's]")] = None,
+    pose_scale: Annotated[float, typer.Option(
+        help="Metres a unit of the poses' translations: 0.001 for millimetres.")] = 1.0,
+    crop: Annotated[str, typer.Option(
+        metavar="L,T,R,B", help="Pixels along the borders of the depth maps that are not used.")] = "0,0,0,0",
     keep_unseen: Annotated[bool, typer.Option(
         "--keep-unseen", help="Keep surfaces that close off what no camera has seen.")] = False,
 ) -> None:
     """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
     from ocnf_model.scan.fuse import run_fuse
+    from ocnf_model.training.options import parse_list
 
+    reading = {
+        "frames": frames, "format": format_, "depth_scale": depth_scale, "poses": poses,
+        "pose_scale": pose_scale, "crop": parse_list("crop", crop),
+        "intrinsics": None if intrinsics is None else parse_list("intrinsics", intrinsics)}
     run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device,
-             weight=weight, every=every, keep_unseen=keep_unseen, console=_out)
+             weight=weight, every=every, keep_unseen=keep_unseen, console=_out, reading=reading)
 
 
 def main() -> None:

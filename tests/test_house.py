@@ -140,6 +140,7 @@ BORROWED = """
     ocnf_data.terminal
     ocnf_data.views.cameras
     ocnf_data.views.scans
+    ocnf_data.views.scans.vertex_colour
 """
 
 # Public names that may be defined more than once, and why.

@@ -20,7 +20,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from ocnf_data.arrays import F64
 from ocnf_data.encodings import Encoding
@@ -121,9 +129,35 @@ class Variant(Strict):
     """How many views of the rig it sees, at most all; of N views
     `linspace(0, N - 1, views)`, cut to integers."""
     sigma: Annotated[Real, Field(ge=0, le=1)] = 0.0
-    """Standard deviation of the depth noise as a fraction of the depth."""
+    """Standard deviation of the depth noise as a fraction of the depth, of `park`."""
+    noise: Literal["park", "kinect"] = "park"
+    """`park`: independent in each pixel (`views.noise`). `kinect`: a sensor's (`views.sensor`)."""
+    strength: Annotated[Real, Field(ge=0, le=10)] = 1.0
+    """Of `kinect`: 0 is none, 1 that of a Kinect."""
+    metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
+    """Of `kinect`: real metres that a metre of the grid stands for."""
     encodings: Annotated[tuple[Encoding, ...], NotEmpty]
     """How the views are written into octrees, each encoding at most once."""
+
+    @model_validator(mode="after")
+    def _of_one_noise(self) -> Variant:
+        if self.noise == "kinect" and self.sigma:
+            raise refused("sigma belongs to the noise park", at=".sigma", found=self.sigma,
+                          expected="none with kinect, which has strength")
+        for field in ("strength", "metres"):
+            if self.noise == "park" and getattr(self, field) != 1:
+                raise refused(f"{field} belongs to the noise kinect", at=f".{field}",
+                              found=getattr(self, field), expected="none with park, which has sigma")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A variant with Park's noise says what it always said, so that data sets begun before go on."""
+        fields: dict[str, Any] = handler(self)
+        if self.noise == "park":
+            for name in ("noise", "strength", "metres"):
+                del fields[name]
+        return fields
 
     @field_validator("name")
     @classmethod

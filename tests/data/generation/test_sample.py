@@ -20,6 +20,7 @@ from ocnf_data.meshes import normalise, read_mesh
 from ocnf_data.octree import GridOctree, decode
 from ocnf_data.octree.occupied import occupied
 from ocnf_data.views.noise import add_noise, view_noise
+from ocnf_data.views.sensor import add_sensor_noise, sensor_draws
 from ocnf_data.views.store import ViewStore, read_kept
 
 HISTOGRAM = {"name": "v3", "views": 3, "sigma": 0.03, "encodings": ["histogram"]}
@@ -79,6 +80,27 @@ def test_noise_depends_on_seed_sample_and_view_only(meshes, define) -> None:
     assert make_sample(define(seed=1), item, root).members[name] != sample.members[name]
     renamed = Item("other", item.split, item.category, item.source)
     assert make_sample(define(), renamed, root).members[name] != sample.members[name]
+
+
+def test_a_sensor_in_place_of_parks_noise(meshes, define) -> None:
+    root = meshes("ab")
+    sensor = {"name": "k2", "views": 2, "noise": "kinect", "strength": 1.5, "metres": 0.5,
+              "encodings": ["tsdf"]}
+    park = {"name": "v2", "views": 2, "sigma": 0.02, "encodings": ["tsdf"]}
+    manifest = define(inputs=[park, sensor])
+    item, sample = first(manifest, root)
+    _, alone = first(define(), root)
+    assert sample.members["v2-tsdf-64.oct"] == alone.members["v2-tsdf-64.oct"]
+    assert json.loads(sample.members["json"])["inputs"]["k2"] == {
+        "views": [0, 7], "noise": "kinect", "strength": 1.5, "metres": 0.5}
+    vertices, _ = normalise(read_mesh(root / item.source))
+    views = render_item(manifest, vertices, read_mesh(root / item.source))
+    depth = [add_sensor_noise(views.depth[i], views.K[i], sensor_draws(0, item.key, i, views.size), 1.5, 0.5)
+             for i in (0, 7)]
+    expected = fuse_tsdf(views.subset([0, 7]).with_depth(np.stack(depth)), 64, 3.0, manifest.truncation(64))
+    stored = decode(sample.members["k2-tsdf-64.oct"])
+    assert stored.structure_equal(expected)
+    np.testing.assert_allclose(stored.data, expected.data, atol=1 / 200)
 
 
 def test_the_same_views_carry_the_same_noise_in_every_subset(meshes, define) -> None:
