@@ -49,10 +49,10 @@ class Neighbours:
     def build(cls, structure: Structure) -> Neighbours:
         """Compute the matrix on the CPU."""
         trees, prefix, grid = structure.flat, structure.prefix, structure.grid
-        regular = regular_leaves(trees, prefix, grid)
+        regular = regular_leaves(trees, prefix, grid)  # (L,) bool
         rank = np.cumsum(regular, dtype=np.int64) - regular  # regular leaves in front of each leaf
         n_regular = int(regular.sum())
-        starts = np.zeros(N_OFFSETS * (structure.n_leaves - n_regular) + 1, np.int64)
+        starts = np.zeros(N_OFFSETS * (structure.n_leaves - n_regular) + 1, np.int64)  # (27 I + 1,)
         count_irregular(trees, prefix, grid, regular, rank, starts[1:])
         np.cumsum(starts, out=starts)
         table, columns, weights = fill(trees, prefix, grid, regular, rank, n_regular, starts)
@@ -73,7 +73,7 @@ class Neighbours:
 @njit(cache=True, nogil=True, parallel=True)
 def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> Bool:
     """(L,) bool: leaves one voxel wide whose 27 neighbours all lie inside the grid."""
-    regular = np.empty(prefix[-1], np.bool_)
+    regular = np.empty(prefix[-1], np.bool_)  # (L,)
     for t in prange(len(trees)):
         _, gd, gh, gw = tree_place(t, grid)
         cells = np.empty((MAX_LEAVES, 4), np.int16)
@@ -195,7 +195,7 @@ def count_irregular(
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
-        found = np.empty((HALO**3, 10), np.int32)
+        found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         if n > 1:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
         for cell in range(n):
@@ -219,14 +219,14 @@ def fill(
     rank: I64, n_regular: int, starts: I64,
 ) -> tuple[I32, I32, F32]:
     """The table of the regular leaves, and columns and weights of the others, as in `Neighbours`."""
-    table = np.empty((n_regular, N_OFFSETS), np.int32)
-    columns = np.empty(starts[-1], np.int32)
-    weights = np.empty(starts[-1], np.float32)
+    table = np.empty((n_regular, N_OFFSETS), np.int32)  # (R, 27)
+    columns = np.empty(starts[-1], np.int32)  # (N,)
+    weights = np.empty(starts[-1], np.float32)  # (N,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
-        found = np.empty((HALO**3, 10), np.int32)
+        found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         if n > 1:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
         for cell in range(n):
@@ -240,7 +240,7 @@ def fill(
             n_found = _around_leaf(cells[cell], leaves, widths, found) if n > 1 \
                 else _around_tree(trees, prefix, grid, t, found)
             first = N_OFFSETS * (leaf - rank[leaf])
-            cursor = starts[first : first + N_OFFSETS].copy()
+            cursor = starts[first : first + N_OFFSETS].copy()  # (27,)
             for m in range(n_found):
                 for kz in range(3):
                     for ky in range(3):

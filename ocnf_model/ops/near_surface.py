@@ -27,8 +27,8 @@ def surface_trees(
             outside the grid.
     """
     fine_grid = (2 * grid[0], 2 * grid[1], 2 * grid[2])
-    fine = np.zeros((8 * len(trees), 2), np.uint64)
-    sides = _sides_of_trees(prefix, below)
+    fine = np.zeros((8 * len(trees), 2), np.uint64)  # (8 T, 2)
+    sides = _sides_of_trees(prefix, below)  # (T,) bits
     n_around = (reach + TREE_WIDTH - 1) // TREE_WIDTH
     size = TREE_WIDTH + 2 * reach
     for t in prange(len(trees)):
