@@ -2,7 +2,7 @@
 
     plan.json -> shards, each with its failures and its index -> failures.jsonl -> dataset.json
 
-Every step leaves whole files, and the order makes each file vouch for those before it: a folder without
+Every step leaves whole files, and the order makes each file a proof of those before it: a folder without
 `dataset.json` is unfinished, a shard without its index is not there.
 """
 
@@ -193,11 +193,11 @@ def _account(store: Store, plan: Plan, manifest: Manifest,
 
 
 def _compare(before: DatasetInfo, now: DatasetInfo, store: Store) -> None:
-    """A finished data set that was mended must be the one that `dataset.json` vouches for."""
-    vouched = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
+    """A finished data set that was repaired must be the one that `dataset.json` lists."""
+    listed = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
     for split, entry in now.shards():
-        if vouched.get((split, entry.shard)) != entry.sha256:
-            raise OcnfError("the shard, made again, is not the one that dataset.json vouches for",
+        if listed.get((split, entry.shard)) != entry.sha256:
+            raise OcnfError("the shard, made again, is not the one that dataset.json lists",
                             code="changed", where=store.where(f"{split}/{entry.shard}"), found=entry.sha256,
-                            expected=f"sha256 {vouched.get((split, entry.shard), 'none')}",
+                            expected=f"sha256 {listed.get((split, entry.shard), 'none')}",
                             fix="if an item failed this time, --retry-failed makes its shard once more")

@@ -152,9 +152,9 @@ def _import_pyrender() -> Any:
 
 def _broken(what: str, error: Exception) -> OcnfError:
     platform = os.environ.get("PYOPENGL_PLATFORM", "the screen")
-    mend = OSMESA if platform == "osmesa" else LIBRARIES
+    fix = OSMESA if platform == "osmesa" else LIBRARIES
     return OcnfError(f"{what} on {platform}", code="gl", where="pyrender",
-                     found=f"{type(error).__name__}: {error}", fix=f"run {mend}, or use the backend raster")
+                     found=f"{type(error).__name__}: {error}", fix=f"run {fix}, or use the backend raster")
 
 
 def _camera_pose(R: F64, T: F64) -> F64:

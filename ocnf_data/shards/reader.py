@@ -144,7 +144,7 @@ def check_size(store: Store, name: str, size: int) -> None:
 
 
 def load_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
-    """The index of a shard, if it is the one that `dataset.json` vouches for; a lost one is made anew.
+    """The index of a shard, if it is the one that `dataset.json` lists; a lost one is made anew.
 
     Raises:
         OcnfError: code `checksum` for a damaged index, or what `rebuild_index` raises.
@@ -157,7 +157,7 @@ def load_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
         raise OcnfError("the index is too large", code="too_large", where=where)
     blob = store.read_bytes(name)
     if sha256_hex(blob) != entry.index_sha256:
-        raise OcnfError("the index is not the one that dataset.json vouches for", code="checksum",
+        raise OcnfError("the index is not the one that dataset.json lists", code="checksum",
                         where=where, fix="`ocnf-data repair` makes it anew from the shard")
     index = ShardIndex.from_json(blob, where)
     _check_entry(index, split, entry, where)
@@ -165,7 +165,7 @@ def load_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
 
 
 def rebuild_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
-    """The index of a shard, from its tar alone; only if the tar is the one that `dataset.json` vouches for.
+    """The index of a shard, from its tar alone; only if the tar is the one that `dataset.json` lists.
 
     Raises:
         OcnfError: the tar is damaged (the message has the byte offset), or it is another one (`checksum`).
@@ -181,6 +181,6 @@ def rebuild_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
 
 def _check_entry(index: ShardIndex, split: str, entry: ShardEntry, where: object) -> None:
     if index.split != split or ShardEntry.of(index) != entry:
-        raise OcnfError("the shard is not the one that dataset.json vouches for", code="checksum",
+        raise OcnfError("the shard is not the one that dataset.json lists", code="checksum",
                         where=where, found=f"{index.split}/{index.shard}, SHA-256 {index.sha256[:16]}...",
                         expected=f"{split}/{entry.shard}, SHA-256 {entry.sha256[:16]}...")

@@ -87,7 +87,7 @@ def _stored_index(store: Store, split: str, shard: str, entry: ShardEntry | None
     else:
         blob = store.read_bytes(name)
         if entry is not None and sha256_hex(blob) != entry.index_sha256:
-            report.add("index", f"{name} is not the index that dataset.json vouches for")
+            report.add("index", f"{name} is not the index that dataset.json lists")
         else:
             try:
                 index = ShardIndex.from_json(blob, name)

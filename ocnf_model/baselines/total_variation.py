@@ -38,12 +38,12 @@ _PATIENCE, _CIRCLING = 400, 1e-2
 _NEW_ANCHOR = 0.3
 """A new anchor is taken where the gap is this share of the last one's, or after 0.4 of all iterations."""
 _ROUNDING = 1e-7
-"""Of the data term's range a voxel: what float32 can get wrong where the energy is nearly 0."""
+"""The share of the data term's range, per voxel, that float32 can get wrong where the energy is nearly 0."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A minimiser of the TV-L1 energy, with a bound of what it lacks.
+    """A minimiser of the TV-L1 energy, with a bound on its distance from the minimum.
 
     Attributes:
         state: u and its dual variable, by blocks.

@@ -141,7 +141,7 @@ def fill_overlaps(
 def transpose(
     columns: I32, starts: I64, n_columns: int
 ) -> tuple[I64, I32, I64]:
-    """Of a sparse matrix in rows: where its columns start, the row of each entry, and its old place."""
+    """The columns of a sparse matrix in rows: where they start, the row of each entry, and its old place."""
     column_starts = np.zeros(n_columns + 1, np.int64)
     for column in columns:
         column_starts[column + 1] += 1

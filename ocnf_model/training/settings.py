@@ -50,7 +50,7 @@ class Stage(Strict):
     accumulate: Positive = 4
     """Batches whose gradients are averaged for one step; fewer at the end of an epoch."""
     learning_rate: Annotated[Real, Field(gt=0)] = 1e-4
-    """Of Adam, at first."""
+    """The learning rate of Adam, before any decay."""
     decay: Decay = Decay.NONE
     weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
     """Added to the gradient, times the weights."""
@@ -86,12 +86,12 @@ class TrainSettings(Strict):
     """None for the data set's target."""
     channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
     band: Annotated[Real, Field(gt=0)] = 1.0
-    """Of the structure module, in fine voxels."""
+    """Width of the band that the structure module splits, in voxels of the finer resolution."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """One for each level; the last one holds for all that follow."""
     seed: Annotated[Int, Field(ge=0)] = 0
-    """Of the weights, the order of the samples and the augmentation."""
+    """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE
     shuffle_buffer: Positive = 1024
     precision: Precision = Precision.FLOAT32
