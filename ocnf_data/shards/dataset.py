@@ -78,7 +78,7 @@ class DatasetInfo(Record):
     splits: dict[str, tuple[ShardEntry, ...]]
     files: tuple[FileEntry, ...] = ()
     checksum: str = ""
-    """SHA-256 of all else in the file it was read from; `to_json` computes it and does not read this field."""
+    """SHA-256 of all else in the file it was read from; `to_json` computes it and does not read this."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
