@@ -149,7 +149,7 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     for shard in damaged:
         _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
         if restore_index(folder, shard.split, shard.shard):
-            _out.print("  the tar is whole, its index was written anew", highlight=False)
+            _out.print("  the tar is whole, its index was written again", highlight=False)
         else:
             lost.append(shard)
     if not lost:

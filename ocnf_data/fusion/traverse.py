@@ -30,9 +30,9 @@ from ocnf_data.fusion.projection import CELL
 from ocnf_data.octree.bits import MAX_LEAVES, pack_block
 
 ROOT = 32
-"""Side of the cubes at which the descent begins, in voxels."""
+"""Voxels along each axis of the cubes at which the descent begins."""
 ROOT_TREES = ROOT // 8
-"""The same in trees."""
+"""Trees along each axis of these cubes."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

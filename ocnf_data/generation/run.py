@@ -72,7 +72,7 @@ def generate(
         jobs: worker processes, each using one core.
         backend: `loky` (this machine), `dask` or `ray`; the latter two join the cluster that the environment
             variable DASK_SCHEDULER_ADDRESS or RAY_ADDRESS names, and else start `jobs` local workers.
-        retry_failed: make the shards with failures anew.
+        retry_failed: make the shards with failures again.
         views: a folder of views that a run with `views: keep` left (its OUT/views): meshes that are there, as
             this manifest's cameras see them, are not rendered again. What comes out is the same.
         progress: show how far the run is, on standard error.
@@ -139,10 +139,10 @@ def _compare_views(views: str | os.PathLike[str], plan: Plan, manifest: Manifest
         raise OcnfError("no views of any of the items are kept there", code="missing", where=views,
                         field="views", expected="KEY.h5 of the items' keys, as `views: keep` leaves them",
                         fix="give the folder `views` of a data set of the same meshes, or leave it out")
-    with contextlib.suppress(OcnfError):  # a damaged file is rendered anew, and is no reason to stop
+    with contextlib.suppress(OcnfError):  # a damaged file is rendered again, and is no reason to stop
         if kept.fingerprint(keys[0]) == view_fingerprint(manifest):
             return []
-    return [f"the views in {views} are of other cameras or of another placement: all are rendered anew"]
+    return [f"the views in {views} are of other cameras or of another placement: all are rendered again"]
 
 
 def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, ShardDone]:

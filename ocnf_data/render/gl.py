@@ -10,7 +10,7 @@ The obvious calls give silently wrong depth; what is done here instead, and why:
 - The depth buffer has 24 bits, most of them spent near the near plane: near and far are put tightly around
   what each view shows. A camera inside its scene has to live with the error, up to `6e-8 z^2 / near`.
 - Positions are float32 on the device: they are sent relative to the middle of the mesh.
-- pyrender has been seen to leak with every mesh: the context is made anew every few of them.
+- pyrender has been seen to leak with every mesh: the context is made again every few of them.
 
 One process, one thread: a context cannot be used from a second thread or across a fork.
 """

@@ -7,7 +7,7 @@
                   "leaf_counts": {"target-64.oct": 25117, ...}}, ...]}
 
 `offset` is that of the payload, in bytes from the start of the tar. Category, source and leaf counts are
-those of the sample's own `json` member, so the index can be made anew from the tar alone (`index_from_tar`).
+those of the sample's own `json` member, so the index can be made again from the tar alone (`index_from_tar`).
 It holds no times: those go to `timings/`, which no checksum covers, so that equal data gives equal files.
 """
 

@@ -57,7 +57,7 @@ class ShardReader:
 
     @cached_property
     def index(self) -> ShardIndex:
-        """The shard's index, checked against `dataset.json`; made anew from the tar if it is lost."""
+        """The shard's index, checked against `dataset.json`; made again from the tar if it is lost."""
         return load_index(self.store, self.split, self.entry)
 
     def __len__(self) -> int:
@@ -144,7 +144,7 @@ def check_size(store: Store, name: str, size: int) -> None:
 
 
 def load_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
-    """The index of a shard, if it is the one that `dataset.json` lists; a lost one is made anew.
+    """The index of a shard, if it is the one that `dataset.json` lists; a lost one is made again.
 
     Raises:
         OcnfError: code `checksum` for a damaged index, or what `rebuild_index` raises.
@@ -158,7 +158,7 @@ def load_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
     blob = store.read_bytes(name)
     if sha256_hex(blob) != entry.index_sha256:
         raise OcnfError("the index is not the one that dataset.json lists", code="checksum",
-                        where=where, fix="`ocnf-data repair` makes it anew from the shard")
+                        where=where, fix="`ocnf-data repair` makes it again from the shard")
     index = ShardIndex.from_json(blob, where)
     _check_entry(index, split, entry, where)
     return index

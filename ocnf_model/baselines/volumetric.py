@@ -18,7 +18,7 @@ def volfus(views: Views | DepthPyramid, resolution: Resolution, extent: float = 
 
 
 def volfus_from_encoding(octree: GridOctree, encoding: Encoding) -> GridOctree:
-    """The same from a stored input: the TSDF itself, or (1 - 2 o) t of TDF and occupancy.
+    """VolFus from a stored input: the TSDF itself, or (1 - 2 o) t of TDF and occupancy.
 
     A histogram does not have it: votes of views up to 1.125 tau in front of a surface are not cut at tau.
 

@@ -105,7 +105,7 @@ def print_tables(console: Console, summaries: Sequence[Summary], notes: Sequence
 
 
 def markdown(summaries: Sequence[Summary], title: str, notes: Sequence[str]) -> str:
-    """The same as Markdown."""
+    """The tables of `print_tables` as Markdown."""
     parts = [f"# {title}",
              "MAD is the mean |TSDF - ground truth| over all voxels of the cube, in millimetres. Figures are "
              "means over the models, of runtime the median; VolFus is in the data set and is not run."]
