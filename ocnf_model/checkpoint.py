@@ -273,7 +273,7 @@ def parse_header(path: Path, fields: Mapping[str, Any]) -> Header:
 
 
 def torch_version() -> str:
-    """Of PyTorch, for headers."""
+    """The version of PyTorch, as headers hold it."""
     return str(torch.__version__)
 
 

@@ -242,3 +242,14 @@ def test_no_public_name_is_defined_twice() -> None:
                     homes[name].add(module)
     twice = {name: sorted(found) for name, found in homes.items() if len(found) > 1}
     assert twice.keys() == NAMESAKES.keys(), twice
+
+
+def test_no_kernel_takes_more_than_eight_parameters() -> None:
+    kernels = {}
+    for module, path in MODULES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and any("njit" in ast.unparse(mark)
+                                                         for mark in node.decorator_list):
+                kernels[f"{module}.{node.name}"] = len(node.args.args)
+    assert kernels["ocnf_data.fusion.cull.cull"] == 8
+    assert not {name: n for name, n in kernels.items() if n > 8}

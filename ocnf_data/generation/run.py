@@ -2,7 +2,7 @@
 
     plan.json -> shards, each with its failures and its index -> failures.jsonl -> catalogues -> dataset.json
 
-Every step leaves whole files, and the order makes each file vouch for those before it: a folder without
+Every step leaves whole files, and the order makes each file a proof of those before it: a folder without
 `dataset.json` is unfinished, a shard without its index is not there.
 """
 
@@ -78,7 +78,7 @@ def generate(
         jobs: worker processes, each using one core.
         backend: `loky` (this machine), `dask` or `ray`; the latter two join the cluster that the environment
             variable DASK_SCHEDULER_ADDRESS or RAY_ADDRESS names, and else start `jobs` local workers.
-        retry_failed: make the shards with failures anew.
+        retry_failed: make the shards with failures again.
         views: a folder of views that a run with `views: keep` left (its OUT/views): meshes that are there, as
             this manifest's cameras see them, are not rendered again. What comes out is the same.
         splits: which of the manifest's splits to make.
@@ -148,10 +148,10 @@ def _compare_views(views: str | os.PathLike[str], plan: Plan, manifest: Manifest
         raise OcnfError("no views of any of the items are kept there", code="missing", where=views,
                         field="views", expected="KEY.h5 of the items' keys, as `views: keep` leaves them",
                         fix="give the folder `views` of a data set of the same meshes, or leave it out")
-    with contextlib.suppress(OcnfError):  # a damaged file is rendered anew, and is no reason to stop
+    with contextlib.suppress(OcnfError):  # a damaged file is rendered again, and is no reason to stop
         if kept.fingerprint(keys[0]) == view_fingerprint(manifest):
             return []
-    return [f"the views in {views} are of other cameras or of another placement: all are rendered anew"]
+    return [f"the views in {views} are of other cameras or of another placement: all are rendered again"]
 
 
 def _without_items(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -218,11 +218,11 @@ def _account(store: Store, plan: Plan, manifest: Manifest, done: dict[str, Shard
 
 
 def _compare(before: DatasetInfo, now: DatasetInfo, store: Store) -> None:
-    """A finished data set that was mended must be the one that `dataset.json` vouches for."""
-    vouched = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
+    """A finished data set that was repaired must be the one that `dataset.json` lists."""
+    listed = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
     for split, entry in now.shards():
-        if vouched.get((split, entry.shard)) != entry.sha256:
-            raise OcnfError("the shard, made again, is not the one that dataset.json vouches for",
+        if listed.get((split, entry.shard)) != entry.sha256:
+            raise OcnfError("the shard, made again, is not the one that dataset.json lists",
                             code="changed", where=store.where(f"{split}/{entry.shard}"), found=entry.sha256,
-                            expected=f"sha256 {vouched.get((split, entry.shard), 'none')}",
+                            expected=f"sha256 {listed.get((split, entry.shard), 'none')}",
                             fix="if an item failed this time, --retry-failed makes its shard once more")

@@ -72,7 +72,7 @@ class ShardDataset(EpochDataset):
     Raises:
         OcnfError: a setting is impossible, or the data sets do not have what is asked for.
 
-    *Errors in workers.* torch raises them anew in the main process from their text, behind the worker's
+    *Errors in workers.* torch raises them again in the main process from their text, behind the worker's
     traceback: the sentence comes last, and `code` and `where` are lost.
 
     *Epochs.* Each `iter(loader)` (or `iter(dataset)`) is the next epoch, from 0 on, or from where `set_epoch`

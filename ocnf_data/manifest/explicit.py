@@ -73,6 +73,6 @@ class ListSource(Strict):
     items: ListItems
 
     def entries(self, root: Path | None = None, seed: int = 0) -> list[Entry]:
-        """As listed."""
+        """The entries of all splits, in the order of the lists."""
         return [Entry(split, entry.category, posixpath.normpath(entry.path), key=entry.key)
                 for split in SPLITS for entry in getattr(self.items, split)]

@@ -40,7 +40,7 @@ _ENTRY = {
 
 
 class ShardEntry(Record):
-    """A shard and its index, as `dataset.json` vouches for them."""
+    """A shard and its index, as `dataset.json` lists them."""
 
     shard: ShardName
     size: Annotated[Count, Field(alias="bytes")]
@@ -88,7 +88,7 @@ class DatasetInfo(Record):
     splits: dict[str, tuple[ShardEntry, ...]]
     files: tuple[FileEntry, ...] = ()
     checksum: str = ""
-    """Of the file it was read from; `to_json` computes it and does not read this field."""
+    """SHA-256 of all else in the file it was read from; `to_json` computes it and does not read this."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

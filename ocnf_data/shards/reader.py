@@ -138,7 +138,7 @@ class ShardReader:
 
     @cached_property
     def index(self) -> ShardIndex:
-        """The shard's index, checked against `dataset.json`; made anew from the tar if it is lost."""
+        """The shard's index, checked against `dataset.json`; made again from the tar if it is lost."""
         return load_index(self.store, self.split, self.entry)
 
     def __len__(self) -> int:

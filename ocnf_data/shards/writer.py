@@ -120,7 +120,7 @@ class ShardWriter:
                 self._file = None
             self._index = ShardIndex(split=self.split, shard=self.shard, size=self._size,
                                      sha256=self._digest.hexdigest(), samples=tuple(self._samples))
-            self.store.remove(index)  # the index of an earlier shard must not vouch for this one
+            self.store.remove(index)  # the index of an earlier shard must not be taken for this one's
         if self._timings:
             timings = canonical_json(self._timings, indent=1)
             self.store.put_bytes(timings_path(self.split, self.shard), timings)

@@ -61,7 +61,7 @@ def find_damaged(
 
 
 def restore_index(url: str | Store, split: str, shard: str) -> bool:
-    """Write the index of a shard anew, if the tar is whole and `dataset.json` vouches for it.
+    """Write the index of a shard again, if the tar is whole and `dataset.json` lists it.
 
     Returns:
         False where the tar is not whole: then the shard has to be generated again.

@@ -91,7 +91,7 @@ def _check_shards(store: Store, shards: list[_Shard], jobs: int) -> Iterator[Sha
 
 
 def _check_files(store: Store, report: VerifyReport, names: list[str], shards: list[_Shard]) -> None:
-    """The files beside the shards: those vouched for are whole; others are named."""
+    """The files beside the shards: those that dataset.json lists are whole; others are named."""
     expected = {DATASET, PLAN, FAILURES}
     for split, shard, _ in shards:
         expected |= {shard_path(split, shard), index_path(split, shard)}
@@ -100,7 +100,7 @@ def _check_files(store: Store, report: VerifyReport, names: list[str], shards: l
         if not store.exists(entry.name):
             report.add(entry.name, "missing", "the file is not there")
         elif store.size(entry.name) != entry.size or file_sha256(store, entry.name) != entry.sha256:
-            report.add(entry.name, "sha256", "not the file that dataset.json vouches for")
+            report.add(entry.name, "sha256", "not the file that dataset.json lists")
     splits = {split for split, _, _ in shards}
     if report.info is None:  # unfinished: dataset.json, which lists them, comes after them
         expected |= {catalogue_path(split) for split in splits}
@@ -108,7 +108,7 @@ def _check_files(store: Store, report: VerifyReport, names: list[str], shards: l
         if name in expected or name.startswith(_FREE):
             continue
         if name.partition("/")[0] in splits or is_shard(name):  # a reader of *.tar would take it for data
-            report.add(name, "extra", "nothing vouches for this file")
+            report.add(name, "extra", "dataset.json does not list this file")
         else:
             report.notes.append(f"{name} is no part of the data set")
 

@@ -131,7 +131,7 @@ class Learned:
 
     @property
     def resolution(self) -> int:
-        """Of the result."""
+        """Voxels along each axis of the result."""
         return self.resolutions[-1]
 
     def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:

@@ -56,7 +56,7 @@ class Region:
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """Of box and cube."""
+        """The centre of box and cube, (x, y, z) in metres."""
         x, y, z = ((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
         return x, y, z
 

@@ -107,7 +107,7 @@ class TrainSettings(Strict):
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """One for each level; the last one holds for all that follow."""
     seed: Annotated[Int, Field(ge=0)] = 0
-    """Of the weights, the order of the samples and the augmentation."""
+    """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE
     """Symmetries of the cube that training samples are shown in."""
     shuffle_buffer: Positive = 1024

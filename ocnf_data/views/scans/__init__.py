@@ -1,7 +1,7 @@
 """Posed depth scans: what a user has of a scene, in whatever format, as `Views`.
 
-`read_scan` is the one way in. A format is a module with a `ScanFormat`: whether a folder fits, and its listing
-of frames, each with its files, its pose as the file has it, and what its numbers mean. What happens after
+`read_scan` is the one way in. A format is a module with a `ScanFormat`: whether a folder fits, and its
+listing of frames, each with its files, its pose as the file has it, and what its numbers mean. What happens after
 that (`load`) is the same for all. A pixel without a measurement becomes 0, never a free ray: a camera that
 measures nothing has not looked far.
 
@@ -30,7 +30,8 @@ from ocnf_data.views.scans.voxlets import VOXLETS
 
 __all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
 
-SCAN_FORMATS: dict[str, ScanFormat] = {f.name: f for f in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
+SCAN_FORMATS: dict[str, ScanFormat] = {
+    one.name: one for one in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
 """By the name that `--format` takes."""
 
 

@@ -124,4 +124,5 @@ def _colours(folder: Path, n: int) -> list[Path | None]:
     return [None] * n
 
 
-OPEN3D = ScanFormat("open3d", "depth/*.png with a trajectory .log or .json, and an intrinsic .json", _fits, _read)
+OPEN3D = ScanFormat("open3d", "depth/*.png with a trajectory .log or .json, and an intrinsic .json", _fits,
+                    _read)

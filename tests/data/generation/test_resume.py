@@ -262,7 +262,7 @@ def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents
 
 
 def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, contents, fake) -> None:
-    """`dataset.json` vouches for bytes; a mended data set must have those, or be left without them."""
+    """`dataset.json` lists bytes; a repaired data set must have those, or be left without them."""
     root, out = meshes(["ok_1", "segfault-unfixed_1"]), tmp_path / "out"
     generate(define(limits={"failure_threshold": 1.0}), out, root, progress=False)
     (root / ".fixed").touch()
