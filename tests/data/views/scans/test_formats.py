@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans import Scan, read_scan
+from ocnf_data.views.scans import SCAN_FORMATS, Scan, read_scan
 
 ALL = ["7scenes", "tum", "open3d", "open3d-json", "transforms", "scannet", "voxlets"]
 Write = Callable[[str], Path]
