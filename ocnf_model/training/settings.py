@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
@@ -57,6 +57,9 @@ class Stage(Strict):
     """How the learning rate goes on."""
     weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
     """L2 penalty: this times the weights is added to the gradient."""
+    crop: Annotated[Int, Field(ge=64, multiple_of=32)] | None = None
+    """Voxels along each axis of the box around the surface that a sample is trained on, in multiples of 32;
+    None for the whole grid (the paper). Validation takes the whole grid."""
 
     def rate(self, done: int, steps: int) -> float:
         """The learning rate of a step.
@@ -122,6 +125,13 @@ class TrainSettings(Strict):
     """Processes that read and decode, for each training process; 0 reads in the training process."""
     save_every: Positive = 50
     """Steps of the optimiser between two saved states, apart from those at the ends of epochs."""
+
+    @model_validator(mode="after")
+    def _context_sees_everything(self) -> TrainSettings:
+        if self.context and self.stage(0).crop is not None:
+            raise refused("the first level's context needs the whole grid", at="stages[0].crop",
+                          found=self.stage(0).crop, expected="null, or context: 0")
+        return self
 
     @field_validator("resolutions")
     @classmethod
