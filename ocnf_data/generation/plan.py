@@ -98,7 +98,9 @@ def make_plan(manifest: Manifest, meshes: Path | None) -> Plan:
         raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
                         field="source.root", fix="give it as --meshes ROOT")
     entries = manifest.source.entries(meshes, manifest.seed)
-    entries, exclusions = _distinct(entries, meshes)
+    exclusions = [_exclusion(entry, entry.excluded) for entry in entries if entry.excluded is not None]
+    entries, doubles = _distinct([entry for entry in entries if entry.excluded is None], meshes)
+    exclusions = [*doubles, *exclusions]
     keys = make_keys(entries, _key_limit(manifest))
     sums = _checksums(entries, meshes, manifest.limits.max_bytes)
     items = [Item(key, entry.split, entry.category, _source(entry), sha256, entry.index)

@@ -117,3 +117,29 @@ def test_planning_is_interrupted_at_once(meshes, define, tmp_path, kind) -> None
         with contextlib.suppress(ProcessLookupError):
             run.kill()
         run.communicate()
+
+
+@pytest.mark.parametrize("kind", ["modelnet", "folder"])
+def test_hidden_files_are_counted(meshes, define, tmp_path, kind) -> None:
+    """Promise 5: what is left out is an exclusion with its reason."""
+    root, out = meshes(["a", "b", ".hidden"]), tmp_path / "out"
+    for name in ("..off", "._a.off", ".off", ".hidden.txt"):  # the last two have no mesh's suffix
+        (root / "chair/train" / name).write_text("")
+    manifest = define(source=FOLDER) if kind == "folder" else define()
+    report = generate(manifest, out, root, progress=False)
+    assert (report.items, report.samples, len(report.exclusions)) == (5, 2, 3)
+    assert rows(out) == {f"chair/train/{name}": ("plan", "excluded") for name in
+                         ("..off", "._a.off", ".hidden.off")}
+    assert "begins with a dot" in report.exclusions[0].message
+    assert verify(out).ok
+
+
+def test_a_link_out_of_the_folder_is_followed_and_its_content_not_quoted(meshes, define, tmp_path) -> None:
+    root, out = meshes(["a", "b"]), tmp_path / "out"
+    (root / "chair/train/b.off").rename(tmp_path / "elsewhere.off")
+    (root / "chair/train/b.off").symlink_to(tmp_path / "elsewhere.off")
+    (tmp_path / "passwords").write_text("root:x:0:0:correct horse battery staple\n")
+    (root / "chair/train/c.off").symlink_to(tmp_path / "passwords")
+    assert generate(define(), out, root, progress=False).samples == 2
+    assert rows(out) == {"chair/train/c.off": ("read", "unreadable")}
+    assert not any(word in (out / "failures.jsonl").read_text() for word in ("root:", "horse", "staple"))
