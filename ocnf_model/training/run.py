@@ -33,7 +33,7 @@ from ocnf_model.training.batches import open_split
 from ocnf_model.training.report import Reporter, write_curves
 from ocnf_model.training.settings import TrainSettings, difference, read_settings
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.state import Place, load_place, save_state
+from ocnf_model.training.state import Place, check_place, load_place, save_state
 from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
@@ -86,6 +86,8 @@ def _run(data: str, folder: Path, settings: TrainSettings, manifest: dict[str, A
     network = architecture.network(settings.levels, settings.checkpointing).to(world.device)
     facts = _facts(data, settings, manifest)
     place, tensors = load_place(folder)
+    check_place(folder, place, [settings.stage(level).epochs for level in range(settings.levels)],
+                settings.resolutions)
     if world.is_main and place.rows:
         write_curves(folder, place.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):

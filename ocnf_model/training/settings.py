@@ -21,6 +21,7 @@ from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refused, validate
 from ocnf_data.loading.augment import Augment
 from ocnf_data.loading.settings import OnError
+from ocnf_model.checkpoint import Channels
 from ocnf_model.network import Carry, Join, Output
 
 Positive = Annotated[Int, Field(ge=1)]
@@ -85,7 +86,7 @@ class TrainSettings(Strict):
     carry: Carry = Carry.FEATURES
     output: Output | None = None
     """None for the data set's target."""
-    channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
+    channels: tuple[Channels, Channels, Channels] = (16, 32, 64)
     band: Annotated[Real, Field(gt=0)] = 1.0
     """Of the structure module, in fine voxels."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (

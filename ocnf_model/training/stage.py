@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.loading.dataset import Batch, ShardDataset
+from ocnf_data.loading.settings import OnError
 from ocnf_model.checkpoint import (
     Architecture,
     DataFacts,
@@ -28,7 +29,7 @@ from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
 from ocnf_model.training.report import Reporter
 from ocnf_model.training.settings import Precision, TrainSettings
-from ocnf_model.training.state import EpochRow, Place, restore, save_state
+from ocnf_model.training.state import EpochRow, Place, check_step, restore, save_state
 from ocnf_model.training.world import World
 
 LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
@@ -76,6 +77,8 @@ class Trainer:
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
+        check_step(job.folder, place, len(job.training), self._stage.accumulate,
+                   exact=job.settings.on_error is OnError.RAISE)
         restore(tensors, self._level, self._optimiser)
         if place.loader is not None:
             job.training.load_state_dict(place.loader)
