@@ -6,7 +6,6 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-import signal
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ocnf_data.terminal import print_error, run_app
+from ocnf_data.terminal import print_error, run_app, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +64,7 @@ def _options(debug: Annotated[bool, typer.Option(
 
 
 @app.command()
+@stoppable(_err, "what is finished is kept, and the same command goes on")
 def generate(
     manifest: Annotated[Path, typer.Argument(metavar="MANIFEST", help="What to make: a YAML file.")],
     out: Annotated[str, typer.Option(metavar="DIR", help="Where to: a folder, or an fsspec URL.")],
@@ -85,15 +85,9 @@ def generate(
     the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
     when more of them failed than the manifest's limits.failure_threshold.
     """
-    from ocnf_data.generation import Interrupted
     from ocnf_data.generation import generate as run
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems' way to say Ctrl-C
-    try:
-        report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
-    except Interrupted as stop:
-        _err.print(f"[yellow]{stop}[/]", highlight=False)
-        raise typer.Exit(130) from None
+    report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     _out.print(report.table())
     if report.failures or report.exclusions:
         _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False)
@@ -104,6 +98,7 @@ def generate(
 
 
 @app.command()
+@stoppable(_err, "nothing was changed, and the same command begins anew")
 def verify(folder: Folder, jobs: Jobs) -> None:
     """Check every byte, count and octree of a data set.
 
@@ -118,6 +113,7 @@ def verify(folder: Folder, jobs: Jobs) -> None:
 
 
 @app.command()
+@stoppable(_err, "nothing was changed")
 def info(folder: Folder) -> None:
     """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
     from ocnf_data.verify.info import describe, print_info
@@ -126,6 +122,7 @@ def info(folder: Folder) -> None:
 
 
 @app.command()
+@stoppable(_err, "what was set aside is in {folder}/quarantine, and the same command goes on")
 def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
@@ -162,6 +159,7 @@ def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
 
 
 @app.command()
+@stoppable(_err, "nothing was changed")
 def doctor() -> None:
     """Say what works on this machine, try each renderer on a known shape, and tell how to mend the rest."""
     from ocnf_data.doctor import run_doctor
@@ -170,6 +168,7 @@ def doctor() -> None:
 
 
 @app.command()
+@stoppable(_err, "every mesh that is written is whole, and the same command makes all of them anew")
 def watertight(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],

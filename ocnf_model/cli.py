@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ocnf_data.terminal import run_app
+from ocnf_data.terminal import run_app, stoppable
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
@@ -45,6 +45,7 @@ def _options(debug: Annotated[bool, typer.Option(
 
 
 @app.command()
+@stoppable(_err, "the same command goes on in {out}")
 def train(
     data: Data,
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
@@ -99,16 +100,13 @@ def train(
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)
-    try:
-        run(data, out, chosen, device=device, console=_err)
-    except KeyboardInterrupt:
-        _err.print(f"[yellow]stopped; the same command goes on in {escape(str(out))}[/]", highlight=False)
-        raise typer.Exit(130) from None
+    run(data, out, chosen, device=device, console=_err)
     if os.environ.get("RANK", "0") == "0":
         _out.print(f"trained: {escape(str(out))}", highlight=False)
 
 
 @app.command()
+@stoppable(_err, "nothing was changed")
 def info(run: Run) -> None:
     """Show a network's layers, shapes and parameters, and how it was trained."""
     from ocnf_model.info import print_info
@@ -117,6 +115,7 @@ def info(run: Run) -> None:
 
 
 @app.command()
+@stoppable(_err, "tables are written at the end only, and the same command begins anew")
 def evaluate(
     run: Run,
     data: Data,
@@ -140,6 +139,7 @@ def evaluate(
 
 
 @app.command()
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
 def choose_weight(
     data: Data,
     out: Annotated[Path, typer.Option(
@@ -163,6 +163,7 @@ def choose_weight(
 
 
 @app.command()
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
 def fuse(
     run: Run,
     scan: Annotated[str, typer.Argument(

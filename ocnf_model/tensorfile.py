@@ -82,8 +82,12 @@ def read_kinds(path: Path) -> dict[str, TensorKind]:
         return {name: TensorKind(part.get_dtype(), tuple(part.get_shape())) for name, part in slices.items()}
 
 
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_tensors(path: Path, note: bool = True) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """(tensors on the CPU, header without its checksum).
+
+    Args:
+        path: the file.
+        note: whether the log says of a file without a checksum that it has none.
 
     Raises:
         OcnfError: the file is missing, too large, damaged (code `checksum` where it is whole but not what was
@@ -93,6 +97,8 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         tensors = {name: file.get_tensor(name) for name in _names(path, file)}
         header = _header(path, file)
     if _DIGEST not in header:
+        if not note:
+            return tensors, header
         _log.warning("%s is of a version that wrote no checksums: whether it is damaged cannot be seen", path)
         return tensors, header
     if header.pop(_DIGEST) != _digest(tensors, header):
