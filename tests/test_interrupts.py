@@ -55,7 +55,7 @@ def start(command: list[str], **environment: str) -> subprocess.Popen[str]:
 
 
 def stop(run: subprocess.Popen[str], number: int, progress: Callable[[], bool], to_all: bool) -> list[str]:
-    """Wait for progress and send the signal, to the group (as terminals do) or to one; the lines on stderr."""
+    """Wait for progress and send the signal, to the group as terminals do or to one; what stderr says."""
     try:
         while not progress():
             assert run.poll() is None, run.communicate()
@@ -93,7 +93,7 @@ def children(pid: int) -> list[int]:
     ("ocnf_data", "ocnf_data.meshes.watertight:make_watertight",
      ["watertight", "MESHES", "OUT", "--jobs", "1"], "every mesh that is written is whole"),
     ("ocnf_data", "ocnf_data.generation.run:make_plan",
-     ["generate", "MANIFEST", "--out", "OUT", "--jobs", "1"], "what is finished is kept, and the same command goes on"),
+     ["generate", "MANIFEST", "--out", "OUT", "--jobs", "1"], "what is finished is kept, and the same"),
     ("ocnf_model", "ocnf_model.scan.fuse:read_scan", ["fuse", "pretrained", "SCAN", "--out", "OUT.ply"],
      "OUT.ply is written at the end only"),
     ("ocnf_model", "ocnf_model.evaluation.run:Bench.run", ["evaluate", "pretrained", "DATA", "--split", "val",
