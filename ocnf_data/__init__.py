@@ -15,6 +15,7 @@ _HOME = {
     "OcnfError": "errors",
     "Report": "generation",
     "ShardDataset": "loading.dataset",
+    "SynthesisDataset": "synthesis.dataset",
     "Views": "views.cameras",
     "fuse_histogram": "fusion",
     "fuse_occupancy": "fusion",
@@ -30,6 +31,7 @@ __all__ = [
     "OcnfError",
     "Report",
     "ShardDataset",
+    "SynthesisDataset",
     "Views",
     "__version__",
     "fuse_histogram",
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from ocnf_data.manifest import load_manifest
     from ocnf_data.octree import GridOctree
     from ocnf_data.render import render_depth
+    from ocnf_data.synthesis.dataset import SynthesisDataset
     from ocnf_data.views.cameras import Views
 
 

@@ -32,8 +32,8 @@ _PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
 
 MAX_CHANNELS: Final = 4096
 MAX_COUNT: Final = 2**53
-Positive = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 Channels = Annotated[Int, Field(ge=1, le=MAX_CHANNELS)]
+Counted = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 
 
 class Architecture(Strict):
@@ -45,6 +45,13 @@ class Architecture(Strict):
     output: Output
     channels: tuple[Channels, Channels, Channels]
     band: Annotated[Real, Field(gt=0, le=1024)]
+    context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
+    residual: bool = False
+
+    @classmethod
+    def of(cls, source: object) -> Architecture:
+        """That of a network, or of settings: anything that has these fields as attributes."""
+        return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
     def kinds(self, level: int) -> dict[str, TensorKind]:
         """The tensors of a level (from 0) by name; nothing is allocated for it."""
@@ -57,7 +64,7 @@ class Architecture(Strict):
         return OctNetFusion(levels=levels, checkpointing=checkpointing, **self.model_dump())
 
 
-class DataFacts(Strict):
+class TrainingData(Strict):
     """What was trained on: enough to refuse data whose values mean something else.
 
     Attributes:
@@ -65,7 +72,7 @@ class DataFacts(Strict):
         checksum: of its `dataset.json`.
         variant: name of the inputs.
         n_train, n_val: samples.
-        extent: side of the cube in metres.
+        extent: edge length of the cube in metres.
         truncation_voxels: tau, in voxels of any resolution.
     """
 
@@ -88,7 +95,7 @@ class Header(Strict):
     Attributes:
         schema_version: of the format.
         level: from 1.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
         metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
         settings: of the run, those that the weights depend on.
@@ -100,9 +107,9 @@ class Header(Strict):
     level: Annotated[Int, Field(ge=1, le=16)]
     resolution: Annotated[Int, Field(ge=1, le=2**16)]
     architecture: Architecture
-    data: DataFacts
-    epoch: Positive
-    steps: Positive
+    data: TrainingData
+    epoch: Counted
+    steps: Counted
     metrics: dict[str, Real]
     settings: dict[str, Any]
     built_on: Sha256 | None
@@ -129,30 +136,25 @@ class TrainedRun:
 
     @property
     def resolutions(self) -> list[int]:
-        """Voxels a side of each level."""
+        """Voxels along each axis of each level."""
         return [header.resolution for header in self.headers]
 
     @property
-    def data(self) -> DataFacts:
+    def data(self) -> TrainingData:
         """What the last level was trained on."""
         return self.headers[-1].data
 
-    def check_fits(self, where: str, *, encoding: str | None = None,
-                   truncation_voxels: float | None = None, resolutions: list[int] | None = None) -> None:
-        """Refuse data that mean something else than what the network was trained on.
+    def check_truncation(self, where: str, truncation_voxels: float) -> None:
+        """Refuse data whose distances are cut elsewhere than those the network was trained on.
 
         Raises:
-            OcnfError: code `misfit`, with the field.
+            OcnfError: code `misfit`.
         """
-        first = self.headers[0]
-        asked = (("encoding", encoding, str(first.architecture.encoding)),
-                 ("truncation_voxels", truncation_voxels, first.data.truncation_voxels),
-                 ("resolutions", resolutions, self.resolutions))
-        for field, found, expected in asked:
-            near = isinstance(found, float) and abs(found - float(str(expected))) < 1e-3
-            if found is not None and found != expected and not near:
-                raise OcnfError("the network was trained on something else", code="misfit", where=where,
-                                field=field, found=found, expected=f"{expected}, as in {self.path}")
+        expected = self.headers[0].data.truncation_voxels
+        if abs(truncation_voxels - expected) >= 1e-3:
+            raise OcnfError("the network was trained on something else", code="misfit", where=where,
+                            field="truncation_voxels", found=truncation_voxels,
+                            expected=f"{expected}, as in {self.path}")
 
 
 def save_checkpoint(folder: Path, header: Header, weights: Mapping[str, Tensor]) -> None:
@@ -173,10 +175,9 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
     header = parse_header(path, fields)
     if header.level != level + 1:
         raise _misfit(path, "level", header.level, level + 1)
-    for field, expected in (("encoding", network.encoding), ("join", network.join), ("carry", network.carry),
-                            ("output", network.output), ("channels", network.channels),
-                            ("band", network.band)):
-        found = getattr(header.architecture, field)
+    own_architecture = Architecture.of(network)
+    for field in Architecture.model_fields:
+        found, expected = getattr(header.architecture, field), getattr(own_architecture, field)
         if found != expected:
             raise _misfit(path, field, found, expected)
     own = {name: TensorKind.of(tensor) for name, tensor in network.levels[level].state_dict().items()}
@@ -281,7 +282,7 @@ def parse_header(path: Path, fields: Mapping[str, Any]) -> Header:
 
 
 def torch_version() -> str:
-    """Of PyTorch, for headers."""
+    """The version of PyTorch, as headers hold it."""
     return str(torch.__version__)
 
 

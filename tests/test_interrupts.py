@@ -88,7 +88,7 @@ def children(pid: int) -> list[int]:
      "nothing was changed, and the same command begins anew"),
     ("ocnf_data", "ocnf_data.verify.verify:check_shard", ["repair", "DATA", "--jobs", "1"],
      "what was set aside is in DATA/quarantine, and the same command goes on"),
-    ("ocnf_data", "ocnf_data.verify.info:describe", ["info", "DATA"], "nothing was changed"),
+    ("ocnf_data", "ocnf_data.verify.summary:describe", ["info", "DATA"], "nothing was changed"),
     ("ocnf_data", "ocnf_data.doctor:run_doctor", ["doctor"], "nothing was changed"),
     ("ocnf_data", "ocnf_data.meshes.watertight:make_watertight",
      ["watertight", "MESHES", "OUT", "--jobs", "1"], "every mesh that is written is whole"),

@@ -43,8 +43,9 @@ from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.octree.codec import decode_raw, encode
 from ocnf_data.shards.dataset import DatasetInfo
-from ocnf_data.shards.index import ShardIndex, index_from_tar, read_facts
-from ocnf_data.shards.tarformat import BLOCK, make_header, parse_header
+from ocnf_data.shards.index import ShardIndex, read_facts
+from ocnf_data.shards.tarformat import BLOCK, make_header, parse_tar_header
+from ocnf_data.shards.walk import index_from_tar
 
 GOLDEN = Path(__file__).parent.parent / "tests" / "data" / "shards" / "golden-v1"
 MAX_BYTES = 1 << 16
@@ -178,9 +179,9 @@ class Checkpoints:
     def __init__(self) -> None:
         import torch
 
-        from ocnf_model.checkpoint import Architecture, DataFacts, Header
+        from ocnf_model.checkpoint import Architecture, Header, TrainingData
         from ocnf_model.network import Carry, Join, Output
-        from ocnf_model.training.state import Place, save_state
+        from ocnf_model.training.train_state import TrainState, save_state
 
         logging.disable()  # the note on files without a checksum
         self._folder = Path(tempfile.mkdtemp(dir="/dev/shm"))
@@ -191,13 +192,13 @@ class Checkpoints:
         self._optimiser = torch.optim.Adam(self._level.parameters())
         torch.cat([p.reshape(-1) for p in self._level.parameters()]).sum().backward()
         self._optimiser.step()
-        data = DataFacts(name="d", checksum="0" * 64, variant="v", n_train=3, n_val=2, extent=3.0,
+        data = TrainingData(name="d", checksum="0" * 64, variant="v", n_train=3, n_val=2, extent=3.0,
                          truncation_voxels=2.0)
         header = Header(level=1, resolution=32, architecture=kind, data=data, epoch=1, steps=1, metrics={},
                         settings={}, built_on=None, torch="2")
         self.header = canonical_json(header.to_dict())
-        place = Place(step=1, steps=1, loader={"epoch": 0, "step": 1}, loss_sum=1.0, loss_count=1.0)
-        save_state(self._folder, place, self._level, self._optimiser)
+        state = TrainState(step=1, steps=1, loader={"epoch": 0, "step": 1}, loss_sum=1.0, loss_count=1.0)
+        save_state(self._folder, state, self._level, self._optimiser)
         self.state_file = (self._folder / "state.safetensors").read_bytes()
         self.state = self._header_of(self.state_file)
         self.write_header("level-1.safetensors", self.header, self._level.state_dict())
@@ -224,11 +225,11 @@ class Checkpoints:
 
     def read_state(self) -> None:
         """As a run that is resumed does."""
-        from ocnf_model.training.state import check_place, check_step, load_place, restore
+        from ocnf_model.training.train_state import check_progress, check_step, load_state, restore
 
-        place, tensors = load_place(self._folder)
-        check_place(self._folder, place, [2], [32])
-        check_step(self._folder, place, 2, 1, exact=True)
+        state, tensors = load_state(self._folder)
+        check_progress(self._folder, state, [2], [32])
+        check_step(self._folder, state, 2, 1, exact=True)
         restore(tensors, self._level, self._optimiser)
 
     def state_bytes(self, data: bytes) -> None:
@@ -284,7 +285,7 @@ def targets() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
         "octree content": (read_wrapped, [unwrap(blob) for blob in blobs.values()]),
         ".oc file": (read_as_file, [published]),
         "tar": (read_tar, [tar]),
-        "tar header": (lambda data: void(parse_header(data)), [tar[:BLOCK]]),
+        "tar header": (lambda data: void(parse_tar_header(data)), [tar[:BLOCK]]),
         "json member": (lambda data: void(read_facts(data, "fuzz")), [facts]),
         "json member in a tar": (read_member, [facts]),
         "index": (lambda data: void(ShardIndex.from_json(data, "fuzz")), [index]),

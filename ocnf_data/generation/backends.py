@@ -29,7 +29,7 @@ _WATCH_SECONDS = 0.5
 _LOGS = "look at the workers' logs: it is mostly memory that runs out"
 
 
-def finish(tasks: Sequence[ShardTask], jobs: int, backend: str) -> Finished:
+def run_tasks(tasks: Sequence[ShardTask], jobs: int, backend: str) -> Finished:
     """Make all shards, yielding each when it is in its place.
 
     Args:
@@ -75,7 +75,7 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
             try:
                 for result in results:
                     done = _raised(result)
-                    del left[done.shard.name]
+                    del left[done.name]
                     deaths = 0
                     yield done
             except BrokenProcessPool as error:

@@ -17,7 +17,7 @@ from ocnf_data.views.cameras import Views
 
 
 @dataclass(frozen=True)
-class Origin:
+class Remade:
     """The intermediate results that a data set does not keep.
 
     Attributes:
@@ -35,7 +35,7 @@ class Origin:
 
 def remake(
     manifest: Manifest, facts: Mapping[str, Any], meshes: str | os.PathLike[str] | None = None
-) -> Origin:
+) -> Remade:
     """Read, normalise, render and add noise as generation did for the sample with these facts.
 
     Args:
@@ -55,7 +55,7 @@ def remake(
     views = render_item(manifest, vertices, mesh)
     noise = Noise(manifest.seed, item.key, views.size)
     observed = {variant.name: observe(manifest, views, variant, noise) for variant in manifest.inputs}
-    return Origin(mesh, vertices, views, observed)
+    return Remade(mesh, vertices, views, observed)
 
 
 def _item(facts: Mapping[str, Any]) -> Item:

@@ -31,6 +31,7 @@ from ocnf_data.shards.tarformat import JSON, input_member, target_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.rigs import look_from, rig_from_name
+from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
 from ocnf_data.views.store import KeptViews, ViewStore
 
 
@@ -91,9 +92,7 @@ def make_sample(
         pyramid = DepthPyramid(views)
     for resolution in manifest.resolutions:
         with stages("fuse target"):
-            truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
-            if manifest.target is Target.OCCUPANCY:
-                truth = occupied(truth)
+            truth = fuse_truth(manifest, pyramid, resolution)
         add(target_member(resolution), truth, "target")
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
@@ -104,10 +103,9 @@ def make_sample(
         for encoding in variant.encodings:
             for resolution in manifest.resolutions:
                 with stages("fuse inputs"):
-                    octree = fuse(pyramid, encoding, resolution, manifest.normalise.extent,
-                                  manifest.truncation(resolution))
+                    octree = fuse_input(manifest, pyramid, encoding, resolution)
                 add(input_member(variant.name, encoding, resolution), octree, encoding)
-    facts = _facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
+    facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
     return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
 
 
@@ -163,18 +161,33 @@ def _find(store: ViewStore, key: str, mesh_sha256: str, fingerprint: str) -> Vie
         return None
 
 
-def render_item(manifest: Manifest, vertices: F64, mesh: Mesh) -> Views:
-    """All views of the rig, without noise, of normalised vertices."""
+def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, directions: F64 | None = None) -> Views:
+    """Views without noise of normalised vertices (N, 3), from `directions` (V, 3) or all those of the rig."""
     camera = manifest.camera
-    R, T = look_from(rig_from_name(camera.rig), camera.distance)
+    R, T = look_from(rig_from_name(camera.rig) if directions is None else directions, camera.distance)
     depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
     return Views(depth, camera.K, R, T)
+
+
+def fuse_truth(manifest: Manifest, pyramid: DepthPyramid, resolution: int) -> GridOctree:
+    """The ground truth, out of all views of the rig without noise."""
+    truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
+    return occupied(truth) if manifest.target is Target.OCCUPANCY else truth
+
+
+def fuse_input(manifest: Manifest, pyramid: DepthPyramid, encoding: Encoding, resolution: int) -> GridOctree:
+    """An input, out of the views that it sees."""
+    return fuse(pyramid, encoding, resolution, manifest.normalise.extent, manifest.truncation(resolution))
 
 
 def observe(manifest: Manifest, views: Views, variant: Variant, noise: Noise) -> Views:
     """The noisy views that an input is made of."""
     indices = manifest.view_indices(variant)
     seen = views.subset(indices)
+    if variant.noise == "kinect":
+        return seen.with_depth(np.stack([
+            add_sensor_noise(depth, K, noise.sensor(view), variant.strength, variant.metres)
+            for view, depth, K in zip(indices, seen.depth, seen.K, strict=True)]))
     if variant.sigma == 0:
         return seen
     return seen.with_depth(np.stack([add_noise(depth, variant.sigma, noise(view))
@@ -188,13 +201,24 @@ class Noise:
         self._seed, self._key, self._size = seed, key, size
         self._drawn: dict[int, F32] = {}
 
+    def sensor(self, view: int) -> SensorDraws:
+        """The draws of `views.sensor`: six numbers a pixel, drawn anew rather than held."""
+        return sensor_draws(self._seed, self._key, view, self._size)
+
     def __call__(self, view: int) -> F32:
+        """Park's."""
         if view not in self._drawn:
             self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
         return self._drawn[view]
 
 
-def _facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
+def _noise_facts(variant: Variant) -> dict[str, Any]:
+    if variant.noise == "park":
+        return {"sigma": variant.sigma}
+    return {"noise": variant.noise, "strength": variant.strength, "metres": variant.metres}
+
+
+def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
            leaf_counts: dict[str, int]) -> dict[str, Any]:
     """The sample's `json` member. Lengths are in metres, pixels where they say so."""
     camera = manifest.camera
@@ -212,7 +236,7 @@ def _facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisat
         "seed": manifest.seed,
         "target": str(manifest.target),
         "truncation": {str(res): manifest.truncation(res) for res in manifest.resolutions},
-        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), "sigma": variant.sigma}
+        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), **_noise_facts(variant)}
                    for variant in manifest.inputs},
         "leaf_counts": leaf_counts,
     }

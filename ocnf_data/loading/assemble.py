@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment, draw_symmetry
 from ocnf_data.loading.catalogue import Catalogue
 from ocnf_data.loading.fetch import Fetcher, RawSample
-from ocnf_data.loading.order import Indices, Partition, Uneven
-from ocnf_data.loading.settings import OnError
+from ocnf_data.loading.order import Partition, Uneven
 from ocnf_data.octree.symmetry import Symmetry
 
 _log = logging.getLogger("ocnf_data.loading.dataset")
@@ -65,7 +66,7 @@ class Assembler:
         # lose the same sample write the same number. Of a spawn context, which works under fork too.
         self._lost_in = multiprocessing.get_context("spawn").RawArray("q", len(catalogue))
 
-    def assemble(self, order: Indices, epoch: int, step: int) -> Assembled:
+    def assemble(self, order: I64, epoch: int, step: int) -> Assembled:
         """Batch `step` of the epoch whose order is given.
 
         Raises:
@@ -90,9 +91,9 @@ class Assembler:
     def lost(self, epoch: int) -> list[str]:
         """Keys of the samples that this rank lost in an epoch, unless a later one lost them again."""
         lost_in = np.frombuffer(self._lost_in, np.int64)
-        return [self._keys[sample] for sample in np.flatnonzero(lost_in == epoch + 1)]
+        return [self._keys[sample] for sample in np.flatnonzero(lost_in == epoch + 1).tolist()]
 
-    def _stand_in(self, order: Indices, epoch: int, spares: Iterator[int], lost: list[Lost]) -> RawSample:
+    def _stand_in(self, order: I64, epoch: int, spares: Iterator[int], lost: list[Lost]) -> RawSample:
         for place in spares:
             fetched = self._try(int(order[place]), epoch, lost)
             if fetched is not None:

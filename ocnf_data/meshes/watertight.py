@@ -38,9 +38,9 @@ def make_watertight(vertices: npt.ArrayLike, faces: npt.ArrayLike, resolution: i
     """A closed surface around a mesh, in the mesh's own coordinates.
 
     Args:
-        vertices: (N, 3) in any unit; the longest side of their box may have any length.
+        vertices: (N, 3) in any unit; the longest edge of their box may have any length.
         faces: (M, 3) indices.
-        resolution: voxels along the cube, a multiple of 8; the box's longest side takes 95 % of them.
+        resolution: voxels along the cube, a multiple of 8; the box's longest edge takes 95 % of them.
         level: how far outside of the measured surface to cut, in units of tau = 2.13 voxels. The default,
             half a voxel, keeps sheets and wires whole; 0 moves nothing, and tears them.
 
@@ -59,11 +59,11 @@ def make_watertight(vertices: npt.ArrayLike, faces: npt.ArrayLike, resolution: i
     R, T = rigs.look_from(rigs.published80(), _DISTANCE)
     depth = render_depth(cube.apply(points), triangles, K, R, T, size=size)
     octree = fuse_tsdf(Views(depth, K, R, T), resolution, _EXTENT)
-    surface, sides = octree_surface(octree, _EXTENT, level)
-    if len(sides) == 0:
+    surface, surface_faces = octree_surface(octree, _EXTENT, level)
+    if len(surface_faces) == 0:
         raise OcnfError("nothing is thick enough to be solid at this resolution", code="empty",
                         found=resolution, fix="raise the resolution or the level")
-    return cube.invert(surface), sides
+    return cube.invert(surface), surface_faces
 
 
 @dataclass

@@ -16,7 +16,7 @@ from typing import Any
 
 from ocnf_data.files.storage import Store
 from ocnf_data.shards.dataset import FAILURES, PLAN
-from ocnf_data.verify.report import VerifyReport
+from ocnf_data.verify.problems import VerifyReport
 
 _MAX_TEXT_BYTES = 256 * 2**20
 

@@ -18,6 +18,7 @@ _SEARCH_RESOLUTION = 128
 _SEARCH_POINTS = 200_000
 _OUTLIERS = 0.2  # per cent of the points at either end of an axis that do not stretch the search
 _SEARCH_MARGIN = 0.1
+_SAMPLES = 12  # along each side of a region, of whether it is looked at
 
 
 @dataclass(frozen=True)
@@ -26,23 +27,23 @@ class Region:
 
     Attributes:
         low, high: corners (x, y, z) of the box in metres: surfaces beyond are cut off.
-        side: of the cube in metres; its centre is the box's.
+        size: of the cube in metres; its centre is the box's.
     """
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-    side: float
+    size: float
 
     @classmethod
-    def of_cube(cls, centre: tuple[float, float, float], side: float) -> Region:
+    def of_cube(cls, centre: tuple[float, float, float], size: float) -> Region:
         """The region that is all of a cube."""
         x, y, z = centre
-        half = side / 2
-        return cls((x - half, y - half, z - half), (x + half, y + half, z + half), side)
+        half = size / 2
+        return cls((x - half, y - half, z - half), (x + half, y + half, z + half), size)
 
     @classmethod
     def of_box(cls, box: Sequence[float]) -> Region:
-        """The region x0 y0 z0 x1 y1 z1 in metres. Its longest side takes 95 % of the cube, as in training.
+        """The region x0 y0 z0 x1 y1 z1 in metres. Its longest edge takes 95 % of the cube, as in training.
 
         Raises:
             OcnfError: not six finite numbers, or a corner that is not below the other.
@@ -55,7 +56,7 @@ class Region:
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """Of box and cube."""
+        """The centre of box and cube, (x, y, z) in metres."""
         x, y, z = ((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
         return x, y, z
 
@@ -86,17 +87,31 @@ def largest_object(views: Views | DepthPyramid) -> Region:
     if not len(points):
         raise OcnfError("nothing was measured in any frame", code="empty", where="the scan")
     low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
-    side = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
+    size = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
     x, y, z = ((low + high) / 2).tolist()
-    octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(side, 1e-6), origin=(x, y, z))
+    octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(size, 1e-6), centre=(x, y, z))
     labels, n = label(np.abs(octree.to_dense()[0]) < 1, np.ones((3, 3, 3)))
     if n == 0:
         raise OcnfError("no surface was found in the scan", code="empty", where="the scan")
     largest = int(np.bincount(labels.ravel())[1:].argmax())
     zyx = np.array([(span.start, span.stop) for span in find_objects(labels)[largest]])
-    voxel = side / _SEARCH_RESOLUTION
+    voxel = size / _SEARCH_RESOLUTION
     corners = (zyx[::-1].T - _SEARCH_RESOLUTION / 2) * voxel + [x, y, z]
     return Region.of_box([*corners[0], *corners[1]])
+
+
+def looked_at(views: Views, region: Region) -> bool:
+    """Whether some part of a region's box lies in the picture of some frame, whatever was measured there."""
+    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, _SAMPLES)] * 3), axis=-1).reshape(-1, 3)
+    points = np.array(region.low) + grid * np.subtract(region.high, region.low)
+    height, width = views.size
+    for K, R, T in zip(views.K, views.R, views.T, strict=True):
+        x, y, z = R @ points.T + T[:, None]
+        before = z > 0
+        u, v = K[0, 0] * x[before] / z[before] + K[0, 2], K[1, 1] * y[before] / z[before] + K[1, 2]
+        if ((u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)).any():
+            return True
+    return False
 
 
 def observed(points: F64, views: Views, band: float) -> Bool:

@@ -17,8 +17,8 @@ import torch
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import (
     Architecture,
-    DataFacts,
     Header,
+    TrainingData,
     checkpoint_sha256,
     load_level,
     load_run,
@@ -30,7 +30,7 @@ from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 
 ARCHITECTURE = Architecture(encoding="tsdf", join="concat", carry="features", output="tsdf",
                             channels=(2, 3, 4), band=1.0)
-DATA = DataFacts(name="d", checksum="0" * 64, variant="v2", n_train=3, n_val=2, extent=3.0,
+DATA = TrainingData(name="d", checksum="0" * 64, variant="v2", n_train=3, n_val=2, extent=3.0,
                  truncation_voxels=2.0)
 
 
@@ -224,11 +224,10 @@ def test_a_planted_pickle_is_not_run(folder, tmp_path) -> None:
 
 def test_data_that_means_something_else_is_refused(folder) -> None:
     run = open_run(folder)
-    run.check_fits("scan", encoding="tsdf", truncation_voxels=2.0001, resolutions=[32, 64])
-    with pytest.raises(OcnfError, match="scan: encoding: the network was trained on something else"):
-        run.check_fits("scan", encoding="histogram")
-    with pytest.raises(OcnfError, match=r"truncation_voxels: .*found 3.0, expected 2.0"):
-        run.check_fits("scan", truncation_voxels=3.0)
+    run.check_truncation("scan", 2.0001)
+    for truncation_voxels in (1.9, 3.0):
+        with pytest.raises(OcnfError, match=rf"truncation_voxels: .*found {truncation_voxels}, expected 2.0"):
+            run.check_truncation("scan", truncation_voxels)
 
 
 def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, tmp_path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import pickle
 import subprocess
@@ -20,7 +21,7 @@ from pydantic import ValidationError
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.manifest import SPLITS, Entry, Manifest, difference, load_manifest
+from ocnf_data.manifest import SPLITS, Entry, Manifest, load_manifest, manifest_difference
 from ocnf_data.manifest.schema import ABSENT
 from ocnf_data.views.rigs import view_subset
 
@@ -70,7 +71,7 @@ def test_the_designs_example() -> None:
 def test_the_defaults_are_the_papers() -> None:
     m = Manifest.from_dict({"name": "x", "source": SHAPES, "inputs": example()["inputs"]})
     assert [m.truncation(r) for r in (64, 128, 256)] == pytest.approx([0.1, 0.05, 0.025], rel=1e-15)
-    assert difference(m, Manifest.from_dict(example(name="x", truncation_voxels=32 / 15))) == []
+    assert manifest_difference(m, Manifest.from_dict(example(name="x", truncation_voxels=32 / 15))) == []
     assert m.limits.timeout_s == 300 and m.renderer == "raster"
 
 
@@ -145,6 +146,14 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
      ["inputs[0].sigma", "found -1", "greater than or equal to 0"]),
     ("noise as text", {"inputs": [{"name": "a", "views": 4, "sigma": "2%", "encodings": ["tsdf"]}]},
      ["inputs[0].sigma", "found '2%'", "number"]),
+    ("unknown noise", {"inputs": [{"name": "a", "views": 4, "noise": "kinekt", "encodings": ["tsdf"]}]},
+     ["inputs[0].noise", "found 'kinekt'", "'park' or 'kinect'"]),
+    ("sigma of a sensor", {"inputs": [
+        {"name": "a", "views": 4, "noise": "kinect", "sigma": 0.1, "encodings": ["tsdf"]}]},
+     ["inputs[0].sigma", "belongs to the noise park", "found 0.1"]),
+    ("strength without a sensor", {"inputs": [
+        {"name": "a", "views": 4, "strength": 2.0, "encodings": ["tsdf"]}]},
+     ["inputs[0].strength", "belongs to the noise kinect", "found 2.0"]),
     ("infinite", {"camera": {"fx": float("inf")}}, ["camera.fx", "found inf", "finite"]),
     ("truth for a number", {"inputs": [{"name": "a", "views": True, "encodings": ["tsdf"]}]},
      ["inputs[0].views", "found True", "integer"]),
@@ -315,11 +324,22 @@ def test_any_value_in_any_place_is_read_or_refused(data: st.DataObject) -> None:
 # ---- comparing
 
 
+def test_a_manifest_without_a_sensor_is_written_as_before_there_was_one() -> None:
+    """Data sets that were begun then are resumed now."""
+    park, kinect = example()["inputs"][0], {"name": "k", "views": 4, "noise": "kinect", "strength": 0.5,
+                                            "encodings": ["tsdf"]}
+    written = Manifest.from_dict(example(inputs=[park, kinect])).to_dict()["inputs"]
+    assert set(written[0]) == {"name", "views", "sigma", "encodings"}
+    assert written[1] == {**kinect, "sigma": 0.0, "metres": 1.0}
+    demo = load_manifest(MANIFESTS / "demo.yaml").canonical_json()
+    assert hashlib.sha256(demo.encode()).hexdigest().startswith("2cbb19f075367b2a")
+
+
 def test_differences_name_the_field_and_both_values() -> None:
     before = Manifest.from_dict(example())
     now = example(seed=1, resolutions=[64, 128])
     now["inputs"][0]["sigma"] = 0.03
-    found = difference(before, Manifest.from_dict(now))
+    found = manifest_difference(before, Manifest.from_dict(now))
     assert set(found) == {("seed", 0, 1), ("inputs[0].sigma", 0.02, 0.03), ("resolutions[2]", 256, ABSENT)}
     assert "inputs[0].sigma: 0.02 before, 0.03 now" in map(str, found)
     assert "resolutions[2]: 256 before, absent now" in map(str, found)
@@ -327,8 +347,8 @@ def test_differences_name_the_field_and_both_values() -> None:
 
 def test_the_place_of_the_meshes_is_no_difference() -> None:
     a, b = (Manifest.from_dict(example(source={**MODELNET, "root": root})) for root in ("/a", "b"))
-    assert difference(a, b) == []
-    assert [d.field for d in difference(a, b, ignore=())] == ["source.root"]
+    assert manifest_difference(a, b) == []
+    assert [d.field for d in manifest_difference(a, b, ignore=())] == ["source.root"]
 
 
 LEAVES = [("seed", 7), ("name", "other"), ("camera.fx", 350.0), ("camera.rig", "icosphere1"),
@@ -349,7 +369,7 @@ def test_exactly_the_changed_fields_differ(chosen: set[tuple[str, Any]]) -> None
         for part in parents:
             place = place[int(part) if isinstance(place, list) else part]
         place[int(last) if isinstance(place, list) else last] = value
-    found = difference(Manifest.from_dict(before), Manifest.from_dict(now))
+    found = manifest_difference(Manifest.from_dict(before), Manifest.from_dict(now))
     assert {(d.field, d.now) for d in found} == chosen
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -14,7 +17,7 @@ from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import read_scan
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.scan.fuse import Baseline, Learned, fuse_scan, run_fuse
-from ocnf_model.scan.region import Region, largest_object, observed
+from ocnf_model.scan.region import Region, largest_object, looked_at, observed
 
 CENTRE, RADIUS = np.array([0.7, -1.2, 2.5]), 0.2  # as in conftest.py
 BOX = (*(CENTRE - 0.23), *(CENTRE + 0.23))
@@ -25,7 +28,7 @@ BOX = (*(CENTRE - 0.23), *(CENTRE + 0.23))
 def test_a_sphere_comes_back_within_a_voxel(scan: Path, tmp_path: Path, method: str,
                                             box: tuple[float, ...] | None) -> None:
     mesh = run_fuse("unused", str(scan), out=tmp_path / "mesh.ply", box=box, method=method, resolution=64)
-    voxel = mesh.region.side / 64
+    voxel = mesh.region.size / 64
     written = trimesh.load(tmp_path / "mesh.ply")
     np.testing.assert_allclose(written.vertices, mesh.vertices)
     off = np.abs(np.linalg.norm(mesh.vertices - CENTRE, axis=1) - RADIUS)
@@ -48,7 +51,7 @@ def test_moving_and_scaling_the_scan_moves_and_scales_the_mesh(scan: Path) -> No
     region = Region.of_box(BOX)
     whole = Baseline(32)
     before = whole(DepthPyramid(views), region)
-    scale, shift = 3.0 / region.side, -np.array(region.centre)
+    scale, shift = 3.0 / region.size, -np.array(region.centre)
     T = scale * (views.T - np.einsum("vij,j->vi", views.R, shift))
     moved = Views(views.depth * np.float32(scale), views.K, views.R, T)
     after = whole(DepthPyramid(moved), Region.of_cube((0.0, 0.0, 0.0), 3.0))
@@ -59,8 +62,8 @@ def test_moving_and_scaling_the_scan_moves_and_scales_the_mesh(scan: Path) -> No
 def test_the_network_gets_the_histograms_of_the_region(scan: Path, network: OctNetFusion) -> None:
     views, region = read_scan(scan).views, Region.of_box(BOX)
     octree = Learned(network, (32, 64))(DepthPyramid(views), region)
-    inputs = [OctreeBatch.from_grids([fuse_histogram(views, side, region.side, origin=region.centre)])
-              for side in (32, 64)]
+    inputs = [OctreeBatch.from_grids([fuse_histogram(views, resolution, region.size, centre=region.centre)])
+              for resolution in (32, 64)]
     expected = network(inputs)[1].to_dense().clamp(-1, 1)[0]
     np.testing.assert_allclose(octree.to_dense(), expected.detach().numpy(), atol=1e-5)
 
@@ -72,7 +75,7 @@ def test_what_was_not_seen_is_cut_off_unless_it_is_asked_for(scan: Path) -> None
     closed = fuse_scan(half, Baseline(32), region=region, keep_unseen=True)
     assert len(closed.faces) > 1.5 * len(seen.faces)
     off = np.abs(np.linalg.norm(seen.vertices - CENTRE, axis=1) - RADIUS)
-    assert off.max() < 2.2 * region.side / 32 < np.abs(
+    assert off.max() < 2.2 * region.size / 32 < np.abs(
         np.linalg.norm(closed.vertices - CENTRE, axis=1) - RADIUS).max()
 
 
@@ -86,6 +89,32 @@ def test_observed_by_hand() -> None:
              (on * [-1, -1, 1], False), (on * [9, 1, 1], False), (on * [0, 0, 1], False)]
     found = observed(np.array([point for point, _ in cases]), views, 0.1)
     assert found.tolist() == [expected for _, expected in cases]
+
+
+def test_frames_that_all_look_away_are_said_to(scan: Path, tmp_path: Path) -> None:
+    read = read_scan(scan)
+    away = Views(read.views.depth, read.views.K, np.diag([-1.0, 1, -1]) @ read.views.R,
+                 read.views.T * [-1, 1, -1])
+    with pytest.raises(OcnfError, match="no frame looks at it"):
+        fuse_scan(replace(read, views=away), Baseline(32), region=Region.of_box(BOX))
+    assert looked_at(read.views, Region.of_box(BOX)) and not looked_at(away, Region.of_box(BOX))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_colour_reaches_the_vertices_of_the_file(scan: Path, tmp_path: Path, suffix: str) -> None:
+    folder = tmp_path / "coloured"
+    shutil.copytree(scan, folder)
+    for file in list(folder.glob("*.depth.png")):
+        image = np.full((240, 320, 3), (10, 120, 200), np.uint8)  # blue, green, red
+        cv2.imwrite(str(file).replace(".depth.", ".color."), image)
+    out = tmp_path / f"mesh{suffix}"
+    mesh = run_fuse("unused", str(folder), out=out, box=BOX, method="volfus", resolution=32,
+                    reading={"frames": "4"})
+    assert mesh.colours is not None and len(mesh.colours) == len(mesh.vertices)
+    written = trimesh.load(out, process=False)
+    assert len(written.vertices) == len(mesh.vertices)
+    np.testing.assert_array_equal(written.visual.vertex_colors[:, :3],
+                                  np.tile([200, 120, 10], (len(mesh.vertices), 1)))
 
 
 def test_bad_input(scan: Path, tmp_path: Path) -> None:

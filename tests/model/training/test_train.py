@@ -20,7 +20,7 @@ from ocnf_model.metrics import mad_mm
 from ocnf_model.network import OctNetFusion
 from ocnf_model.training.batches import to_octree_batch
 from ocnf_model.training.run import train
-from ocnf_model.training.state import load_place
+from ocnf_model.training.train_state import load_state
 
 
 def stage(**changes) -> dict:
@@ -43,7 +43,7 @@ def test_the_loss_falls_on_a_few_samples(tiny, small, out) -> None:
     settings = small(levels=1, channels=[6, 6, 6], train_split="val", categories=["chair"],
                      stages=[stage(epochs=60, batch_size=1, accumulate=1, learning_rate=1e-2)])
     train(tiny, out, settings, device="cpu")
-    rows = load_place(out)[0].rows
+    rows = load_state(out)[0].rows
     assert rows[-1].train_loss < 0.4 * rows[0].train_loss
     assert min(row.val_mad for row in rows) < 0.5 * rows[0].val_mad
 
@@ -182,12 +182,12 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
         train(tiny, out, settings, device="cpu")
     expected = keys[1:] if where == "loss" else keys
     assert error.value.found == f"samples {', '.join(expected)}"
-    place, tensors = load_place(out)
+    place, tensors = load_state(out)
     assert (place.epoch, place.steps) == (2, 6) and open_run(out).headers[0].epoch <= 2
     assert all(tensor.isfinite().all() for tensor in tensors.values())
     monkeypatch.undo()
     train(tiny, out, settings, device="cpu")
-    assert len(load_place(out)[0].rows) == 3
+    assert len(load_state(out)[0].rows) == 3
 
 
 def _epoch(tiny, epoch):

@@ -16,7 +16,7 @@ import torch
 from ocnf_data.errors import OcnfError
 from ocnf_model.tensorfile import read_tensors, write_tensors
 from ocnf_model.training.run import train
-from ocnf_model.training.state import STATE, load_place
+from ocnf_model.training.train_state import STATE, load_state
 
 STAGES = [{"epochs": 3, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-3}]
 
@@ -34,7 +34,7 @@ def halfway(tiny, small, tmp_path_factory) -> tuple[dict[str, bytes], dict[str, 
             raise StopError
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ocnf_model.training.report.Reporter.epoch", stop)
+        patch.setattr("ocnf_model.training.curves.Reporter.epoch", stop)
         with pytest.raises(StopError):
             train(tiny, folder, small(levels=1, stages=STAGES), device="cpu")
     files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
@@ -113,7 +113,7 @@ def test_every_flipped_bit_is_found(run) -> None:
     for at in (*range(8), *range(9, header, 13), *range(header, len(whole), 509), len(whole) - 1):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << chance.randrange(8)]) + whole[at + 1:])
         with pytest.raises(OcnfError, match=r"state\.safetensors"):
-            load_place(run)
+            load_state(run)
 
 
 def test_a_state_of_before_checksums_is_resumed_with_a_note(run, halfway, tiny, small, caplog) -> None:

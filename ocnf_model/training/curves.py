@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ocnf_data.files.storage import Store
-from ocnf_model.training.state import EpochRow
+from ocnf_model.training.train_state import EpochRow
 
 CURVES = "curves.csv"
 
@@ -24,7 +24,7 @@ class Reporter:
     Args:
         folder: of the run; TensorBoard's files go to `tensorboard` in it.
         level: from 1.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         steps: of the optimiser that are done: TensorBoard forgets later ones, which a killed run made.
         unit: of the MAD, ` mm` or nothing.
         active: whether to show and write anything.

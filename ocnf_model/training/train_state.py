@@ -1,7 +1,7 @@
 """Where a run is: everything that the rest of it depends on, in one file that is replaced whole.
 
     RUN/state.safetensors     weights of the level in training, Adam's moments, the random state; the header
-                              holds the place (level, epoch, step), the loader's state and the curves
+                              holds the state (level, epoch, step), the loader's state and the curves
 
 It is written at steps of the optimiser, so there are no half accumulated gradients to keep: a run killed
 between two states does the steps after the first of them again, with the same result.
@@ -36,7 +36,7 @@ class EpochRow:
 
     Attributes:
         level, epoch: from 1.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         steps: of the optimiser, in this level so far.
         train_loss: mean over the epoch's samples, each at the weights when it was met.
         val_mad: millimetres, or for occupancy the mean difference of probabilities.
@@ -57,7 +57,7 @@ class EpochRow:
 
 
 @dataclass
-class Place:
+class TrainState:
     """Where a run is.
 
     Attributes:
@@ -103,7 +103,7 @@ class _Row(Strict):
 
 
 class _Header(Strict):
-    """The fields of a `Place` as the file has them."""
+    """The fields of a `TrainState` as the file has them."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     level: _Count
@@ -116,7 +116,7 @@ class _Header(Strict):
     rows: tuple[_Row, ...]
 
 
-def save_state(folder: Path, place: Place, level: nn.Module | None = None,
+def save_state(folder: Path, state: TrainState, level: nn.Module | None = None,
                optimiser: torch.optim.Optimizer | None = None) -> None:
     """Replace the state; without a level between two levels."""
     tensors: dict[str, Tensor] = {_RANDOM + "cpu": torch.get_rng_state()}
@@ -125,32 +125,33 @@ def save_state(folder: Path, place: Place, level: nn.Module | None = None,
         for name, parameter in level.named_parameters():
             for moment, tensor in optimiser.state.get(parameter, {}).items():
                 tensors[f"{_ADAM}{moment}.{name}"] = tensor
-    write_tensors(folder / STATE, tensors, {"schema": _SCHEMA, **asdict(place)})
+    write_tensors(folder / STATE, tensors, {"schema": _SCHEMA, **asdict(state)})
 
 
-def load_place(folder: Path) -> tuple[Place, dict[str, Tensor]]:
-    """The place, and the tensors for `restore`; the beginning where there is no state yet.
+def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
+    """The state, and the tensors for `restore`; the beginning where there is no state yet.
 
     Raises:
         OcnfError: the state is damaged or of another schema.
     """
     path = folder / STATE
     if not path.is_file():
-        return Place(), {}
+        return TrainState(), {}
     tensors, fields = read_tensors(path)
     if fields.get("schema") != _SCHEMA:
         raise OcnfError("the run was begun by another version", code="schema", where=path,
                         fix="finish it with that version, or begin a new run")
     header = validate(_Header, fields, path).model_dump(exclude={"schema_version", "rows"})
-    return Place(**header, rows=[EpochRow(**row) for row in fields["rows"]]), tensors
+    return TrainState(**header, rows=[EpochRow(**row) for row in fields["rows"]]), tensors
 
 
-def check_place(folder: Path, place: Place, epochs: Sequence[int], resolutions: Sequence[int]) -> None:
-    """Refuse a place that no run of these settings comes to.
+def check_progress(folder: Path, state: TrainState, epochs: Sequence[int],
+                   resolutions: Sequence[int]) -> None:
+    """Refuse a state that no run of these settings comes to.
 
     Args:
         folder: of the run.
-        place: of its state.
+        state: of the run.
         epochs: of each level, by the settings.
         resolutions: of each level.
 
@@ -161,26 +162,26 @@ def check_place(folder: Path, place: Place, epochs: Sequence[int], resolutions: 
         return OcnfError("the state is of no run with these settings", code="damaged", where=folder / STATE,
                          field=field_name, found=found, expected=expected, fix=_ANEW)
 
-    if place.level > len(epochs):
-        raise refuse("level", place.level, f"at most {len(epochs)}")
-    most = epochs[place.level] if place.level < len(epochs) else 0
-    if place.epoch > most:
-        raise refuse("epoch", place.epoch, f"at most {most}")
-    done = [*epochs[:place.level], place.epoch]
+    if state.level > len(epochs):
+        raise refuse("level", state.level, f"at most {len(epochs)}")
+    most = epochs[state.level] if state.level < len(epochs) else 0
+    if state.epoch > most:
+        raise refuse("epoch", state.epoch, f"at most {most}")
+    done = [*epochs[:state.level], state.epoch]
     expected = [(level, epoch) for level, n in enumerate(done, 1) for epoch in range(1, n + 1)]
-    if (found := [(row.level, row.epoch) for row in place.rows]) != expected:
+    if (found := [(row.level, row.epoch) for row in state.rows]) != expected:
         raise refuse("rows", f"{len(found)} epochs", f"those of {len(expected)}, in order")
-    for row in place.rows:
+    for row in state.rows:
         if row.resolution != resolutions[row.level - 1]:
             raise refuse("rows.resolution", row.resolution, resolutions[row.level - 1])
 
 
-def check_step(folder: Path, place: Place, n_batches: int, accumulate: int, exact: bool) -> None:
+def check_step(folder: Path, state: TrainState, n_batches: int, accumulate: int, exact: bool) -> None:
     """Refuse a step within the epoch that does not fit the data set, the optimiser's count or the loader.
 
     Args:
         folder: of the run.
-        place: of its state.
+        state: of the run.
         n_batches: of an epoch.
         accumulate: batches for a step of the optimiser.
         exact: no batch may have been left out, so the optimiser's count is known.
@@ -188,15 +189,15 @@ def check_step(folder: Path, place: Place, n_batches: int, accumulate: int, exac
     Raises:
         OcnfError: code `damaged`, with the field.
     """
-    steps = place.epoch * -(-n_batches // accumulate) + -(-place.step // accumulate)
-    at = place.epoch * n_batches + place.step
+    steps = state.epoch * -(-n_batches // accumulate) + -(-state.step // accumulate)
+    at = state.epoch * n_batches + state.step
     # The end of an epoch is the beginning of the next.
     same = {divmod(at, n_batches), ((at - 1) // n_batches, (at - 1) % n_batches + 1)}
-    loader = (0, 0) if place.loader is None else (place.loader.get("epoch"), place.loader.get("step"))
+    loader = (0, 0) if state.loader is None else (state.loader.get("epoch"), state.loader.get("step"))
     for field_name, fits, found, expected in (
-        ("step", place.step <= n_batches, place.step, f"at most {n_batches}"),
-        ("steps", place.steps == steps if exact else place.steps <= steps, place.steps, steps),
-        ("loader", loader in same, loader, f"epoch {place.epoch}, step {place.step}"),
+        ("step", state.step <= n_batches, state.step, f"at most {n_batches}"),
+        ("steps", state.steps == steps if exact else state.steps <= steps, state.steps, steps),
+        ("loader", loader in same, loader, f"epoch {state.epoch}, step {state.step}"),
     ):
         if not fits:
             raise OcnfError("the state does not fit the data set or the settings", code="damaged",
