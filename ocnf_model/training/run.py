@@ -33,7 +33,7 @@ from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import VALIDATION, DataSource, StoredData, open_data
 from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.train_state import TrainState, load_state, save_state
+from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
@@ -102,6 +102,8 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World
     network = Architecture.of(settings).network(settings.levels, settings.checkpointing).to(world.device)
     training_data = _training_data(source, folder, settings)
     state, tensors = load_state(folder)
+    check_progress(folder, state, [settings.stage(level).epochs for level in range(settings.levels)],
+                   settings.resolutions)
     if world.is_main and state.rows:
         write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):

@@ -21,6 +21,7 @@ from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, refused, validate
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
+from ocnf_model.checkpoint import MAX_CHANNELS, Channels
 from ocnf_model.network import Carry, Join, Output
 
 
@@ -97,11 +98,11 @@ class TrainSettings(Strict):
     """What a level hands to the next one."""
     output: Output | None = None
     """What is reconstructed; None for the data set's target."""
-    channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
+    channels: tuple[Channels, Channels, Channels] = (16, 32, 64)
     """Features at the level's resolution, at half and at a quarter of it."""
     band: Annotated[Real, Field(gt=0)] = 1.0
     """How far from the reconstructed surface the next level's cells are split, in its voxels."""
-    context: Annotated[Int, Field(ge=0)] = 0
+    context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     """Width of the first level's dense encoder-decoder that sees the whole volume, a multiple of 16;
     0 for none (the paper)."""
     residual: bool = False

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.octree.bits import TREE_WIDTH
@@ -31,7 +32,7 @@ from ocnf_model.training.batches import Example, make_example
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
 from ocnf_model.training.settings import Precision, TrainSettings
-from ocnf_model.training.train_state import EpochRow, TrainState, restore, save_state
+from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
 from ocnf_model.training.world import World
 
 LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
@@ -79,6 +80,8 @@ class Trainer:
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
+        check_step(job.folder, state, len(job.training), self._stage.accumulate,
+                   exact=job.settings.on_error is OnError.RAISE)
         restore(tensors, self._level, self._optimiser)
         if state.loader is not None:
             job.training.load_state_dict(state.loader)
