@@ -56,7 +56,8 @@ def train_command(
         help="occupancy, tsdf, tdf_occupancy or histogram. [histogram]")] = None,
     variant: Annotated[str | None, typer.Option(help="Name of the inputs in the manifest.")] = None,
     epochs: Annotated[str | None, typer.Option(
-        metavar="N,...", help="For each level; the last one holds for all that follow. [50,25,25]")] = None,
+        metavar="N,...", help="For each level; the last one holds for all that follow. A run may be gone on "
+                              "with for more. [50,25,25]")] = None,
     batch_size: Annotated[str | None, typer.Option(
         metavar="N,...", help="Samples a batch, for each level and process. [4,1,1]")] = None,
     accumulate: Annotated[str | None, typer.Option(
@@ -77,6 +78,9 @@ def train_command(
     checkpointing: Annotated[bool | None, typer.Option(
         "--checkpointing/--no-checkpointing", help="Compute activations again instead of keeping them.",
         show_default=False)] = None,
+    best_by: Annotated[str | None, typer.Option(
+        help="Measure by which the best checkpoint is chosen: mad, iou, f_score or mad_and_f_score. "
+             "[mad_and_f_score]")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of weights and order. [0]")] = None,
     workers: Annotated[int | None, typer.Option(
         min=0, help="Reading processes, for each training process. [1]")] = None,
@@ -95,7 +99,7 @@ def train_command(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
-         "seed": seed, "workers": workers},
+         "best_by": best_by, "seed": seed, "workers": workers},
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)
