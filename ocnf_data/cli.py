@@ -1,4 +1,4 @@
-"""`ocnf-data`: generate, verify, look at and mend data sets.
+"""`ocnf-data`: generate, verify, inspect and repair data sets.
 
 A command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
-                  help="Grid-octree training data from meshes: generate, verify, look at, mend.")
+                  help="Grid-octree training data from meshes: generate, verify, inspect and repair.")
 _out = Console(emoji=False)  # `shapes:airplane:train:1` is a name
 _err = Console(stderr=True, emoji=False)
 _debug = False
@@ -66,8 +66,10 @@ def _options(debug: Annotated[bool, typer.Option(
 
 @app.command("generate")
 def generate_command(
-    manifest: Annotated[Path, typer.Argument(metavar="MANIFEST", help="What to make: a YAML file.")],
-    out: Annotated[str, typer.Option(metavar="DIR", help="Where to: a folder, or an fsspec URL.")],
+    manifest: Annotated[Path, typer.Argument(
+        metavar="MANIFEST", help="The manifest: a YAML file that defines the data set.")],
+    out: Annotated[str, typer.Option(
+        metavar="DIR", help="Where the data set goes: a folder, or an fsspec URL.")],
     jobs: Jobs,
     meshes: Meshes = None,
     backend: Annotated[Backend, typer.Option(
@@ -81,7 +83,7 @@ def generate_command(
 ) -> None:
     """Make the data set of a manifest.
 
-    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was, and the result is
+    The run may be stopped at any time, even by a power cut: the same command resumes it, and the result is
     the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
     when more of them failed than the manifest's limits.failure_threshold.
     """
@@ -128,7 +130,7 @@ def dataset_info_command(folder: Folder) -> None:
 def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
-    A shard that comes out different from what dataset.json vouches for is an error. Nothing is deleted.
+    It is an error if a shard comes out different from what dataset.json lists. Nothing is deleted.
     """
     from ocnf_data.files.storage import Store
     from ocnf_data.generation import generate
@@ -136,7 +138,7 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import find_damaged, quarantine, restore_index
+    from ocnf_data.verify.repair import find_damaged, quarantine, restore_catalogues, restore_index
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
@@ -147,10 +149,12 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     for shard in damaged:
         _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
         if restore_index(folder, shard.split, shard.shard):
-            _out.print("  the tar is whole, its index was written anew", highlight=False)
+            _out.print("  the tar is whole, its index was written again", highlight=False)
         else:
             lost.append(shard)
     if not lost:
+        for name in restore_catalogues(folder):
+            _out.print(f"{name} was written anew from the indices", highlight=False)
         return
     # Whatever stands in the way of making them again is said before anything is set aside.
     adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
@@ -162,7 +166,7 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
 
 @app.command("doctor")
 def doctor_command() -> None:
-    """Say what works on this machine, try each renderer on a known shape, and tell how to mend the rest."""
+    """Check what works on this machine, try each renderer on a known shape, and say how to fix the rest."""
     from ocnf_data.doctor import run_doctor
 
     raise typer.Exit(run_doctor(_out))

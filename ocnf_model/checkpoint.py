@@ -41,6 +41,13 @@ class Architecture(Strict):
     output: Output
     channels: tuple[Positive, Positive, Positive]
     band: Real
+    context: Annotated[Int, Field(ge=0)] = 0
+    residual: bool = False
+
+    @classmethod
+    def of(cls, source: object) -> Architecture:
+        """That of a network, or of settings: anything that has these fields as attributes."""
+        return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
     def network(self, levels: int, checkpointing: bool = False) -> OctNetFusion:
         """A new network, with random weights."""
@@ -127,22 +134,17 @@ class TrainedRun:
         """What the last level was trained on."""
         return self.headers[-1].data
 
-    def check_fits(self, where: str, *, encoding: str | None = None,
-                   truncation_voxels: float | None = None, resolutions: list[int] | None = None) -> None:
-        """Refuse data that mean something else than what the network was trained on.
+    def check_truncation(self, where: str, truncation_voxels: float) -> None:
+        """Refuse data whose distances are cut elsewhere than those the network was trained on.
 
         Raises:
-            OcnfError: code `misfit`, with the field.
+            OcnfError: code `misfit`.
         """
-        first = self.headers[0]
-        asked = (("encoding", encoding, str(first.architecture.encoding)),
-                 ("truncation_voxels", truncation_voxels, first.data.truncation_voxels),
-                 ("resolutions", resolutions, self.resolutions))
-        for field, found, expected in asked:
-            near = isinstance(found, float) and abs(found - float(str(expected))) < 1e-3
-            if found is not None and found != expected and not near:
-                raise OcnfError("the network was trained on something else", code="misfit", where=where,
-                                field=field, found=found, expected=f"{expected}, as in {self.path}")
+        expected = self.headers[0].data.truncation_voxels
+        if abs(truncation_voxels - expected) >= 1e-3:
+            raise OcnfError("the network was trained on something else", code="misfit", where=where,
+                            field="truncation_voxels", found=truncation_voxels,
+                            expected=f"{expected}, as in {self.path}")
 
 
 def save_checkpoint(folder: Path, header: Header, weights: Mapping[str, Tensor]) -> None:
@@ -162,10 +164,9 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
     header = parse_header(path, fields)
     if header.level != level + 1:
         raise _misfit(path, "level", header.level, level + 1)
-    for field, expected in (("encoding", network.encoding), ("join", network.join), ("carry", network.carry),
-                            ("output", network.output), ("channels", network.channels),
-                            ("band", network.band)):
-        found = getattr(header.architecture, field)
+    own_architecture = Architecture.of(network)
+    for field in Architecture.model_fields:
+        found, expected = getattr(header.architecture, field), getattr(own_architecture, field)
         if found != expected:
             raise _misfit(path, field, found, expected)
     own = network.levels[level].state_dict()
@@ -272,7 +273,7 @@ def parse_header(path: Path, fields: Mapping[str, Any]) -> Header:
 
 
 def torch_version() -> str:
-    """Of PyTorch, for headers."""
+    """The version of PyTorch, as headers hold it."""
     return str(torch.__version__)
 
 

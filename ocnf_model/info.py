@@ -13,7 +13,8 @@ from ocnf_model.network import OctNetFusion
 from ocnf_model.ops import OctreeConv3d
 
 # Blocks that work below their level's resolution, and by how much.
-_HALVINGS = {"down2": 1, "bottom": 2, "up2": 1}
+_HALVINGS = {"down2": 1, "bottom": 2, "up2": 1, "context.down1": 3, "context.down2": 4,
+             "context.up": 3, "context.out": 3}
 
 
 def print_run(run: str | Path, console: Console) -> None:
@@ -46,14 +47,15 @@ def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
         table.add_column(title, footer, justify="left" if title == "layer" else "right")
     level_before = "0"
     for name, module in network.named_modules():
-        if not isinstance(module, OctreeConv3d | nn.Linear):
+        if not isinstance(module, OctreeConv3d | nn.Conv3d | nn.Linear):
             continue
-        _, level, block = name.split(".")[:3]
+        _, level, block = name.split(".", 2)
         if level != level_before:
             table.add_section()
             level_before = level
         out, into = module.weight.shape[:2]
-        resolution = resolutions[int(level)] >> _HALVINGS.get(block, 0)
+        halvings = next((n for start, n in _HALVINGS.items() if block.startswith(start)), 0)
+        resolution = resolutions[int(level)] >> halvings
         table.add_row(name, f"{resolution}³", f"{into} -> {out}", "x".join(map(str, module.weight.shape)),
                       f"{sum(parameter.numel() for parameter in module.parameters()):,}")
     return table

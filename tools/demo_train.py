@@ -62,7 +62,7 @@ def verdict(found: Evaluation, console: Console) -> bool:
 
 def main(
     out: Annotated[Path, typer.Option(help="Folder for data, run and pictures.")] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(help="Of shapes, noise, weights and order.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of shapes, noise, weights and order.")] = 0,
     jobs: Annotated[int, typer.Option(help="Worker processes that generate.")] = 2,
 ) -> None:
     """Generate shapes, train on them from scratch, choose TV-L1's weight, compare on shapes never seen."""

@@ -33,8 +33,9 @@ from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.octree.codec import decode_raw, encode
 from ocnf_data.shards.dataset import DatasetInfo
-from ocnf_data.shards.index import ShardIndex, index_from_tar, read_facts
+from ocnf_data.shards.index import ShardIndex, read_facts
 from ocnf_data.shards.tarformat import BLOCK, make_header, parse_tar_header
+from ocnf_data.shards.walk import index_from_tar
 
 GOLDEN = Path(__file__).parent.parent / "tests" / "data" / "shards" / "golden-v1"
 MAX_BYTES = 1 << 16

@@ -88,7 +88,8 @@ def _draw_inputs(axes: Any, remade: Remade, variant: str, manifest: Manifest, up
     draw_depth(axes[1], clean, limits)
     axes[1].set_title(f"clean depth, view {view}: {limits[0]:.2f} to {limits[1]:.2f} m")
     draw_depth(axes[2], noisy, limits)
-    axes[2].set_title(f"noisy depth, sigma {chosen.sigma:g}")
+    axes[2].set_title(f"noisy depth, sigma {chosen.sigma:g}" if chosen.noise == "park" else
+                      f"noisy depth, {chosen.noise}, strength {chosen.strength:g}")
 
 
 def _leaves(octree: GridOctree) -> str:

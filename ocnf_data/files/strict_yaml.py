@@ -43,8 +43,23 @@ _StrictLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789"))
 
 
-def read_yaml(path: str | os.PathLike[str]) -> Any:
+class _TupleLoader(_StrictLoader):
+    """Reads `!!python/tuple` too, and no other tag of Python's."""
+
+
+def _tuple(loader: yaml.SafeLoader, node: yaml.SequenceNode) -> tuple[Any, ...]:
+    return tuple(loader.construct_sequence(node))
+
+
+_TupleLoader.add_constructor("tag:yaml.org,2002:python/tuple", _tuple)
+
+
+def read_yaml(path: str | os.PathLike[str], *, tuples: bool = False) -> Any:
     """The one document in a YAML file.
+
+    Args:
+        path: of the file.
+        tuples: accept the tag `!!python/tuple`, which other programs write; it builds nothing but a tuple.
 
     Raises:
         OcnfError: missing, too large, not UTF-8, not YAML (with line and column), keys given twice, aliases,
@@ -54,11 +69,11 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     with storage_errors(path):
         size = path.stat().st_size
         if size > _MAX_BYTES:
-            raise OcnfError("too large for a manifest", code="too_large", where=path, found=f"{size} bytes",
+            raise OcnfError("too large for YAML", code="too_large", where=path, found=f"{size} bytes",
                             expected=f"at most {_MAX_BYTES}")
         data = path.read_bytes()
     try:
-        return yaml.load(data.decode("utf-8"), _StrictLoader)
+        return yaml.load(data.decode("utf-8"), _TupleLoader if tuples else _StrictLoader)
     except UnicodeDecodeError as error:
         raise OcnfError("not UTF-8 text", where=path, found=str(error)) from error
     except RecursionError as error:

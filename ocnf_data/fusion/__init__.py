@@ -18,6 +18,7 @@ from ocnf_data.arrays import F32
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import accumulate
+from ocnf_data.fusion.bundles import Rule, Scene
 from ocnf_data.fusion.projection import Grid, cell_offsets, grid_cameras
 from ocnf_data.fusion.pyramid import DepthPyramid
 from ocnf_data.fusion.threads import map_in_threads
@@ -132,7 +133,9 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     pyramid = views if isinstance(views, DepthPyramid) else DepthPyramid(views)
     views = pyramid.views
     cameras = grid_cameras(views, grid)
-    offsets = cell_offsets(cameras)
+    images = views.depth.reshape(len(views), math.prod(views.size))
+    scene = Scene(cameras, cell_offsets(cameras), images, pyramid.windows, pyramid.levels, views.size)
+    rule = Rule(kind, hidden_below, free_from, truncation, _SPLIT_TOLERANCE * encoding.span)
     constants = np.array(_FREE_AND_UNSEEN[encoding], np.float32)
     gd, gh, gw = (n // 8 for n in grid.shape)
     trees = np.zeros((gd, gh, gw, 2), np.uint64)
@@ -140,9 +143,7 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     rows = [(z, y) for z in range(-(-grid.shape[0] // ROOT)) for y in range(-(-grid.shape[1] // ROOT))]
 
     def fuse_one(row: tuple[int, int]) -> F32:
-        return fuse_row(kind, cameras, offsets, views.depth, pyramid.windows, pyramid.levels, hidden_below,
-                        free_from, truncation, _SPLIT_TOLERANCE * encoding.span, constants, *row, trees,
-                        counts)
+        return fuse_row(scene, rule, constants, *row, trees, counts)
 
     leaves = map_in_threads(fuse_one, rows)
     prefix = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])

@@ -12,6 +12,7 @@ import math
 from numba import njit
 
 from ocnf_data.arrays import F32, F64, I64
+from ocnf_data.fusion.bundles import Eight, Rule
 from ocnf_data.fusion.pyramid import DEEPEST, FARTHEST, NEAREST
 
 NOTHING = 0
@@ -34,15 +35,15 @@ _METRE_SLACK = 1e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def footprints(camera: F64, size: tuple[int, int], z: int, y: int, x: int, cube_width: int, out: F64) -> None:
+def footprints(camera: F64, size: tuple[int, int], cubes: Eight, out: F64) -> None:
     """Pixels and depths that eight cubes may touch.
 
-    Cube k = 4 dz + 2 dy + dx has its first voxel at (z, y, x) + cube_width * (dz, dy, dx) and measures
-    `cube_width` voxels along each axis. `camera` is a row of `projection.grid_cameras`, `size` the image's
+    `camera` is a row of `projection.grid_cameras`, `size` the image's
     (H, W); `out` (6, 8) receives the rows U0 to BACK, pixels clipped
     to one beyond the image. They mean nothing for a cube whose FRONT is not positive.
     """
     height, width = float(size[0]), float(size[1])
+    z, y, x, cube_width = cubes
     half = 0.5 * (cube_width - 1)
     ux, uy, uz, u1 = camera[0], camera[1], camera[2], camera[3]
     vx, vy, vz, v1 = camera[4], camera[5], camera[6], camera[7]
@@ -71,8 +72,7 @@ def footprints(camera: F64, size: tuple[int, int], z: int, y: int, x: int, cube_
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int, int], hidden_below: float,
-             free_from: float) -> int:
+def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int, int], rule: Rule) -> int:
     """Class of one view for cube `k` of a footprint (6, 8).
 
     Args:
@@ -81,8 +81,7 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
         windows: that view's part of the DepthPyramid, (n_entries, 3).
         levels: the DepthPyramid's.
         size: image size (H, W).
-        hidden_below: metres; a measured pixel with `depth - z_c < hidden_below` contributes nothing.
-        free_from: metres; a pixel with `depth - z_c >= free_from` says free.
+        rule: the encoding's; its two bounds decide.
     """
     front, back = footprint[FRONT, k], footprint[BACK, k]
     if back < -_METRE_SLACK:
@@ -108,11 +107,11 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
     a, b, c, d = upper + j0, upper + j1, lower + j0, lower + j1
     nearest = min(min(windows[a, NEAREST], windows[b, NEAREST]),
                   min(windows[c, NEAREST], windows[d, NEAREST]))
-    if nearest - back >= free_from + _METRE_SLACK:
+    if nearest - back >= rule.free_from + _METRE_SLACK:
         return FREE if edge == 0 else SILHOUETTE + EDGE
     deepest = max(max(windows[a, DEEPEST], windows[b, DEEPEST]),
                   max(windows[c, DEEPEST], windows[d, DEEPEST]))
-    if deepest - front < hidden_below - _METRE_SLACK:
+    if deepest - front < rule.hidden_below - _METRE_SLACK:
         farthest = max(max(windows[a, FARTHEST], windows[b, FARTHEST]),
                        max(windows[c, FARTHEST], windows[d, FARTHEST]))
         return NOTHING if farthest < math.inf else SILHOUETTE + edge

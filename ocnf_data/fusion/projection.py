@@ -15,7 +15,7 @@ from ocnf_data.arrays import F64
 from ocnf_data.views.cameras import Views
 
 CELL = 4
-"""Side, in voxels, of the smallest cube that is classified; voxels are evaluated a cube at a time."""
+"""Voxels along each axis of the smallest cube that is classified; voxels are evaluated a cube at a time."""
 
 
 @dataclass(frozen=True)

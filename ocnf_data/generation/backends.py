@@ -74,7 +74,7 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
             try:
                 for result in results:
                     done = _raised(result)
-                    del left[done.shard.name]
+                    del left[done.name]
                     deaths = 0
                     yield done
             except BrokenProcessPool as error:

@@ -32,7 +32,8 @@ def adopt(store: Store, plan: Plan) -> tuple[Plan, list[str]]:
         if store.exists(DATASET) or any(store.list(split) for split in plan.splits):
             raise OcnfError("the folder holds shards but no plan.json, so it cannot be resumed", where=where,
                             code="no_plan", fix="generate into an empty folder")
-        store.put_bytes(PLAN, plan.to_json())
+        with store.writing(PLAN) as path, path.open("wb") as file:
+            file.writelines(plan.pieces())
         return plan, []
     begun = _read(store.read_bytes(PLAN), where)
     _compare_manifests(begun, plan, where)

@@ -31,6 +31,7 @@ from ocnf_data.shards.tarformat import JSON, input_member, target_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.rigs import look_from, rig_from_name
+from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
 from ocnf_data.views.store import KeptViews, ViewStore
 
 
@@ -180,6 +181,10 @@ def observe(manifest: Manifest, views: Views, variant: Variant, noise: Noise) ->
     """The noisy views that an input is made of."""
     indices = manifest.view_indices(variant)
     seen = views.subset(indices)
+    if variant.noise == "kinect":
+        return seen.with_depth(np.stack([
+            add_sensor_noise(depth, K, noise.sensor(view), variant.strength, variant.metres)
+            for view, depth, K in zip(indices, seen.depth, seen.K, strict=True)]))
     if variant.sigma == 0:
         return seen
     return seen.with_depth(np.stack([add_noise(depth, variant.sigma, noise(view))
@@ -193,10 +198,21 @@ class Noise:
         self._seed, self._key, self._size = seed, key, size
         self._drawn: dict[int, F32] = {}
 
+    def sensor(self, view: int) -> SensorDraws:
+        """The draws of `views.sensor`: six numbers a pixel, drawn anew rather than held."""
+        return sensor_draws(self._seed, self._key, view, self._size)
+
     def __call__(self, view: int) -> F32:
+        """Park's."""
         if view not in self._drawn:
             self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
         return self._drawn[view]
+
+
+def _noise_facts(variant: Variant) -> dict[str, Any]:
+    if variant.noise == "park":
+        return {"sigma": variant.sigma}
+    return {"noise": variant.noise, "strength": variant.strength, "metres": variant.metres}
 
 
 def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
@@ -217,7 +233,7 @@ def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Nor
         "seed": manifest.seed,
         "target": str(manifest.target),
         "truncation": {str(res): manifest.truncation(res) for res in manifest.resolutions},
-        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), "sigma": variant.sigma}
+        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), **_noise_facts(variant)}
                    for variant in manifest.inputs},
         "leaf_counts": leaf_counts,
     }

@@ -17,7 +17,9 @@ class OnError(StrEnum):
     """What becomes of a damaged sample."""
 
     RAISE = "raise"
+    """The run stops, and names shard, key, member and offset."""
     SKIP = "skip"
+    """It is left out and listed; another sample takes its place."""
 
 
 def one_of(kind: type[_Choice], field: str, value: object) -> _Choice:

@@ -91,7 +91,7 @@ class Assembler:
     def lost(self, epoch: int) -> list[str]:
         """Keys of the samples that this rank lost in an epoch, unless a later one lost them again."""
         lost_in = np.frombuffer(self._lost_in, np.int64)
-        return [self._keys[sample] for sample in np.flatnonzero(lost_in == epoch + 1)]
+        return [self._keys[sample] for sample in np.flatnonzero(lost_in == epoch + 1).tolist()]
 
     def _stand_in(self, order: I64, epoch: int, spares: Iterator[int], lost: list[Lost]) -> RawSample:
         for place in spares:

@@ -72,7 +72,7 @@ class ShardDataset(EpochDataset):
     Raises:
         OcnfError: a setting is impossible, or the data sets do not have what is asked for.
 
-    *Errors in workers.* torch raises them anew in the main process from their text, behind the worker's
+    *Errors in workers.* torch raises them again in the main process from their text, behind the worker's
     traceback: the sentence comes last, and `code` and `where` are lost.
 
     *Epochs.* Each `iter(loader)` (or `iter(dataset)`) is the next epoch, from 0 on, or from where `set_epoch`
@@ -170,7 +170,7 @@ class ShardDataset(EpochDataset):
     @property
     def keys(self) -> tuple[str, ...]:
         """Keys of all samples, of all ranks, in the data sets' own order."""
-        return self._catalogue.keys
+        return tuple(self._catalogue.keys)
 
     @property
     def manifest(self) -> dict[str, Any]:

@@ -37,7 +37,7 @@ class Uneven(StrEnum):
     """Each sample exactly once; some ranks get one batch less, one rank a shorter last batch."""
 
 
-def epoch_order(shard_sizes: Sequence[int], seed: int, epoch: int, buffer: int,
+def epoch_order(shard_sizes: Sequence[int] | I64, seed: int, epoch: int, buffer: int,
                 shuffle: bool = True) -> I64:
     """The samples of all shards in the order of an epoch.
 

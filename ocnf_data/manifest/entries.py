@@ -30,7 +30,7 @@ class Entry:
 
 
 class SplitCategories(Strict):
-    """The categories of each split; "all" are those that the folder has."""
+    """The categories of each split: a list of names, or `all` for those that there are."""
 
     train: tuple[str, ...] | Literal["all"] = ()
     val: tuple[str, ...] | Literal["all"] = ()

@@ -41,9 +41,11 @@ class FolderSource(Strict):
 
     kind: Literal["folder"]
     root: str | None = None
+    """The folder that the paths are relative to, itself relative to the manifest's folder; `--meshes` on the
+    command line takes precedence."""
     shares: SplitShares = SplitShares(train=0.8, val=0.1, test=0.1)
     at_most: Annotated[Int, Field(ge=1)] | None = None
-    """Take only so many of them, drawn likewise."""
+    """Take only so many meshes, drawn from (seed, path); None takes all."""
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
         """By split and path."""

@@ -25,6 +25,7 @@ class SourcePart(Strict):
     weight: DrawWeight = 1.0
     """How often `SynthesisDataset` draws from it, relative to the others. `generate` takes all its meshes."""
     source: PlainSource
+    """Its meshes and their splits: any kind but a mixture."""
 
 
 class MixtureSource(Strict):
@@ -32,7 +33,10 @@ class MixtureSource(Strict):
 
     kind: Literal["mixture"]
     root: str | None = None
+    """The folder that the paths of all sources are relative to; `--meshes` on the command line takes
+    precedence."""
     parts: Annotated[tuple[SourcePart, ...], NotEmpty]
+    """The sources, one or more."""
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
         """Those of each part, in order."""

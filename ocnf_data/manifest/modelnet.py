@@ -26,8 +26,11 @@ class Slice(Strict):
     """`count` of the sorted files of `category/folder` after the first `skip`, or as many as there are."""
 
     folder: str
+    """Folder inside each category's folder; `.` is the category's own."""
     skip: Annotated[Int, Field(ge=0)] = 0
+    """How many of the sorted files are passed over."""
     count: Annotated[int | Literal["all"], BeforeValidator(_count)]
+    """How many are taken, from 0 on, or `all`."""
 
     @model_validator(mode="after")
     def _one_folder(self) -> Slice:
@@ -82,8 +85,10 @@ class ModelNetSource(Strict):
 
     kind: Literal["modelnet"]
     root: str | None = None
-    """Relative to the manifest; `--meshes` goes before it."""
+    """The folder that the paths are relative to, itself relative to the manifest's folder; `--meshes` on the
+    command line takes precedence."""
     categories: Categories
+    """Folders below the root: a list of names or `all`, or one of these for each split."""
     counts: ModelNetCounts
 
     @model_validator(mode="after")

@@ -1,7 +1,7 @@
 """What a data set is: a typed, validated manifest, written as YAML.
 
->>> manifest = load_manifest("manifests/demo.yaml")                       # doctest: +SKIP
->>> manifest.inputs[0].views, manifest.truncation(256)                    # doctest: +SKIP
+>>> manifest = load_manifest("manifests/demo.yaml")
+>>> manifest.inputs[0].views, round(manifest.truncation(256), 6)
 (4, 0.025)
 
 Every field but `name`, `source` and `inputs` has a default, the paper's setting. `to_dict` fills them all in:
@@ -20,7 +20,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from ocnf_data.arrays import F64
 from ocnf_data.encodings import Encoding
@@ -56,6 +64,7 @@ class Normalise(Strict):
     extent: Annotated[Real, Field(gt=0, le=1e3)] = 3.0
     """Side of the grid's cube in metres."""
     padding: Annotated[Real, Field(ge=0, lt=1)] = 0.05
+    """Share of the extent that stays empty, half of it at either end of the longest side."""
 
     @property
     def radius(self) -> float:
@@ -67,14 +76,23 @@ class Camera(Strict):
     """The virtual cameras: `rig` names the directions, the rest is one pinhole for all of them (pixels)."""
 
     rig: str = "published80"
+    """`published80` (the 80 directions of the paper's published code), `icosphereN` (20 * 4^N directions, N
+    up to 5) or `fibonacciN` (N directions, up to 20480)."""
     width: Annotated[Int, Field(ge=1, le=8192)] = 640
+    """Columns of the image, pixels."""
     height: Annotated[Int, Field(ge=1, le=8192)] = 480
+    """Rows of the image, pixels."""
     fx: Annotated[Real, Field(gt=0)] = 351.0
+    """Focal length along x, pixels."""
     fy: Annotated[Real, Field(gt=0)] = 351.0
+    """Focal length along y, pixels."""
     cx: Real = 320.0
+    """Column of the principal point, pixels; the centre of the first pixel is 0."""
     cy: Real = 240.0
+    """Row of the principal point, pixels; the centre of the first pixel is 0."""
     distance: Annotated[Real, Field(gt=0)] = 3.0
-    """From the origin to each camera, metres."""
+    """From the origin to each camera, metres; more than half the diagonal of the largest bounding box, which
+    is 2.468 m for the default extent and padding."""
 
     @field_validator("rig")
     @classmethod
@@ -105,10 +123,41 @@ class Variant(Strict):
     """One kind of input: `views` of the rig, with noise, in one or more encodings at every resolution."""
 
     name: str
+    """The first part of the names of its octrees; letters, digits and `_`, each name
+    once, not `target`."""
     views: Annotated[Int, Field(ge=1)]
+    """How many views of the rig it sees, at most all; of N views
+    `linspace(0, N - 1, views)`, cut to integers."""
     sigma: Annotated[Real, Field(ge=0, le=1)] = 0.0
-    """Standard deviation of the depth noise as a fraction of the depth."""
+    """Standard deviation of the depth noise as a fraction of the depth, of `park`."""
+    noise: Literal["park", "kinect"] = "park"
+    """`park`: independent in each pixel (`views.noise`). `kinect`: a sensor's (`views.sensor`)."""
+    strength: Annotated[Real, Field(ge=0, le=10)] = 1.0
+    """Of `kinect`: 0 is none, 1 that of a Kinect."""
+    metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
+    """Of `kinect`: real metres that a metre of the grid stands for."""
     encodings: Annotated[tuple[Encoding, ...], NotEmpty]
+    """How the views are written into octrees, each encoding at most once."""
+
+    @model_validator(mode="after")
+    def _of_one_noise(self) -> Variant:
+        if self.noise == "kinect" and self.sigma:
+            raise refused("sigma belongs to the noise park", at=".sigma", found=self.sigma,
+                          expected="none with kinect, which has strength")
+        for field in ("strength", "metres"):
+            if self.noise == "park" and getattr(self, field) != 1:
+                raise refused(f"{field} belongs to the noise kinect", at=f".{field}",
+                              found=getattr(self, field), expected="none with park, which has sigma")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A variant with Park's noise says what it always said, so that data sets begun before go on."""
+        fields: dict[str, Any] = handler(self)
+        if self.noise == "park":
+            for name in ("noise", "strength", "metres"):
+                del fields[name]
+        return fields
 
     @field_validator("name")
     @classmethod
@@ -137,8 +186,9 @@ class Limits(Strict):
     timeout_s: Annotated[Real, Field(gt=0)] = 300.0
     """Seconds of wall time an item may take."""
     max_faces: Annotated[Int, Field(ge=1)] = 5_000_000
+    """Most triangles of a mesh that is read."""
     max_bytes: Annotated[Int, Field(ge=1)] = 256 * 2**20
-    """Largest mesh file that is read."""
+    """Largest mesh file that is read, bytes."""
     failure_threshold: Annotated[Real, Field(ge=0, le=1)] = 0.05
     """Share of failed items above which the run's exit status is not 0."""
 
@@ -154,18 +204,26 @@ class Manifest(Strict):
     """A data set's definition. Two manifests are equal when they define the same data set."""
 
     schema_version: Annotated[int, Field(alias="schema"), BeforeValidator(_known_schema)] = SCHEMA
+    """Version of the manifest's format."""
     name: str
+    """Name of the data set; letters, digits, `_`, `-` and `.`, not `-` or `.` at first."""
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
+    """Of everything that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
     source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource,
                       Field(discriminator="kind")]
+    """The meshes and their splits; `kind` says which of the five."""
     normalise: Normalise = Normalise()
     camera: Camera = Camera()
     renderer: Literal["raster", "pyrender"] = "raster"
+    """`raster` runs on the CPU and is the more exact; `pyrender` draws with OpenGL (extra `gl`)."""
     resolutions: Annotated[tuple[Int, ...], NotEmpty] = (64, 128, 256)
+    """Voxels along each side of the cube, ascending; multiples of 8 from 8 to 1024."""
     truncation_voxels: Annotated[Real, Field(gt=0, le=64)] = 32 / 15
     """Truncation distance tau on each side of the surface, voxels; 32 / 15 is 0.025 m at 256^3 over 3 m."""
     target: Target = Target.TSDF
+    """The ground truth, fused from all views of the rig without noise."""
     inputs: Annotated[tuple[Variant, ...], NotEmpty]
+    """What a network gets to see: one or more variants."""
     shards: Shards = Shards()
     views: Literal["drop", "keep"] = "drop"
     """`keep`: the rendered depth stays in OUT/views, and later runs need not render again."""

@@ -25,6 +25,7 @@ class ShapesSource(Strict):
 
     kind: Literal["shapes"]
     categories: Categories
+    """Kinds of shapes: a list of names or `all`, or one of these for each split."""
     counts: ShapeCounts
 
     @model_validator(mode="after")

@@ -3,33 +3,44 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
-from ocnf_data.arrays import F64, I64
+from ocnf_data.arrays import F64, I64, U8
 
 _STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _DIGITS = "%.12g"
 
 
-def _ply(vertices: F64, faces: I64) -> bytes:
+def _ply(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
+    names = ("red", "green", "blue") if colours is not None else ()
     header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
               "property double x\nproperty double y\nproperty double z\n"
+              + "".join(f"property uchar {name}\n" for name in names) +
               f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n")
     rows = np.empty(len(faces), np.dtype([("n", "u1"), ("corners", "<i4", 3)]))
     rows["n"], rows["corners"] = 3, faces
-    return header.encode() + vertices.astype("<f8").tobytes() + rows.tobytes()
+    points = np.empty(len(vertices), np.dtype([("at", "<f8", 3), ("colour", "u1", len(names))]))
+    points["at"] = vertices
+    if colours is not None:
+        points["colour"] = colours
+    return header.encode() + points.tobytes() + rows.tobytes()
 
 
-def _obj(vertices: F64, faces: I64) -> bytes:
+def _obj(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
+    """Colours as `v x y z r g b`, 0 to 1: not in the specification, but common programs read it."""
     text = io.BytesIO()
-    np.savetxt(text, vertices, f"v {_DIGITS} {_DIGITS} {_DIGITS}")
+    if colours is None:
+        np.savetxt(text, vertices, f"v {_DIGITS} {_DIGITS} {_DIGITS}")
+    else:
+        rows = np.hstack([vertices, colours / 255])
+        np.savetxt(text, rows, f"v {_DIGITS} {_DIGITS} {_DIGITS} %.4g %.4g %.4g")
     np.savetxt(text, faces + 1, "f %d %d %d")
     return text.getvalue()
 
 
-def _off(vertices: F64, faces: I64) -> bytes:
+def _off(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
     text = io.BytesIO()
     text.write(f"OFF\n{len(vertices)} {len(faces)} 0\n".encode())
     np.savetxt(text, vertices, f"{_DIGITS} {_DIGITS} {_DIGITS}")
@@ -37,11 +48,17 @@ def _off(vertices: F64, faces: I64) -> bytes:
     return text.getvalue()
 
 
-def _stl(vertices: F64, faces: I64) -> bytes:
+def _stl(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
     rows = np.zeros(len(faces), _STL_RECORD)
     rows["corners"] = vertices[faces]
     return bytes(80) + len(faces).to_bytes(4, "little") + rows.tobytes()
 
 
-WRITERS: dict[str, Callable[[F64, I64], bytes]] = {".ply": _ply, ".obj": _obj, ".off": _off, ".stl": _stl}
-"""By suffix: vertices (N, 3) and faces (M, 3) to the bytes of a file. STL holds float32 only."""
+class Writer(Protocol):
+    """Vertices (N, 3), faces (M, 3) and colours (N, 3) of the vertices to the bytes of a file."""
+
+    def __call__(self, vertices: F64, faces: I64, colours: U8 | None = None) -> bytes: ...
+
+
+WRITERS: dict[str, Writer] = {".ply": _ply, ".obj": _obj, ".off": _off, ".stl": _stl}
+"""By suffix. STL holds float32 only; OFF and STL leave colours out."""

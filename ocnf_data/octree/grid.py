@@ -102,15 +102,8 @@ class GridOctree:
 
     def leaf_width(self) -> U8:
         """(D, H, W) uint8: width in voxels (8, 4, 2 or 1) of the leaf that holds each voxel."""
-        return self._paint_rows(self.leaf_sizes())
-
-    def leaf_index(self) -> I32:
-        """(D, H, W) int32: row in `data` of the leaf that holds each voxel."""
-        return self._paint_rows(np.arange(self.n_leaves, dtype=np.int32))
-
-    def _paint_rows(self, rows: npt.NDArray) -> npt.NDArray:
-        volume = np.empty((1, *self.shape), rows.dtype)
-        dense.paint(self.trees.reshape(-1, 2), self.prefix, rows[:, None], volume)
+        volume = np.empty((1, *self.shape), np.uint8)
+        dense.paint(self.trees.reshape(-1, 2), self.prefix, self.leaf_sizes()[:, None], volume)
         return volume[0]
 
     def leaf_positions(self) -> I32:
@@ -146,10 +139,6 @@ class GridOctree:
         flat = self.trees.reshape(-1, 2)
         return self.data[dense.leaves_at(flat, self.prefix, gh, gw, voxels.astype(np.int64))]
 
-    def structure_equal(self, other: GridOctree) -> bool:
-        """Whether both have the same trees."""
-        return np.array_equal(self.trees, other.trees)
-
     def with_data(self, data: F32) -> GridOctree:
         """The same trees with other values, (n_leaves, any C) float32."""
         return self.trusted(self.trees, _check_data(data, self.n_leaves))
@@ -168,13 +157,6 @@ class GridOctree:
         share = self.n_leaves / np.prod(self.shape)
         return f"GridOctree({'x'.join(map(str, self.shape))}, channels={self.channels}, " \
                f"n_leaves={self.n_leaves} ({share:.1%}))"
-
-
-def split_structure(values: F32, tolerance: float) -> TreeArray:
-    """The structure predicate alone: trees (GD, GH, GW, 2) that `from_dense` would make of (C, D, H, W)."""
-    values = _check_volume(values)
-    trees = dense.split_trees(values, *_extremes(values), _check_tolerance(tolerance))
-    return trees.reshape(*_grid_of(values), 2)
 
 
 def mean_on(trees: TreeArray, values: F32) -> F32:

@@ -45,7 +45,7 @@ class Row:
         resolution: voxels along each axis.
         method: its label.
         mad_mm: over all voxels; NaN where prediction or ground truth is occupancy.
-        iou, precision, recall: of the occupied voxels (TSDF <= 0, probability >= 0.5).
+        iou, precision, recall: of the occupied voxels (TSDF < 0, probability >= 0.5).
         seconds: from the encoded input to the reconstruction; NaN for what is read from the data set.
         n_leaves: of the reconstruction.
         regions: contributions to the MAD by region.
@@ -77,7 +77,7 @@ class Field:
     def as_occupancy(self) -> OctreeBatch:
         """1 where it is occupied, 0 elsewhere."""
         values = self.volume.features
-        inside = values >= 0.5 if self.is_occupancy else values <= 0
+        inside = values >= 0.5 if self.is_occupancy else values < 0
         return self.volume.with_features(inside.to(torch.float32))
 
     def signed(self) -> GridOctree:

@@ -18,7 +18,7 @@ class Method(StrEnum):
 
     @property
     def label(self) -> str:
-        """As tables and figures have it."""
+        """The name in tables and figures."""
         return {"volfus": "VolFus", "tvl1": "TV-L1", "ours": "Ours"}[self.value]
 
 

@@ -96,7 +96,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
     network, resolutions = None, None
     if methods is None or Method.OURS in methods:
         trained = open_run(run)
-        trained.check_fits(data, truncation_voxels=DatasetFacts.read(data).truncation_voxels)
+        trained.check_truncation(data, DatasetFacts.read(data).truncation_voxels)
         network, resolutions = trained.network.to(pick_device(device)), trained.resolutions
     if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
         weights = kept

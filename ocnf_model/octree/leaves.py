@@ -16,7 +16,7 @@ from ocnf_data.octree.bits import MAX_LEAVES, TREE_WIDTH, leaf_of_voxel, tree_le
 @njit(cache=True, nogil=True, parallel=True)
 def leaf_sizes(trees: TreeArray, prefix: Prefix) -> U8:
     """(L,) uint8: width of each leaf."""
-    sizes = np.empty(prefix[-1], np.uint8)
+    sizes = np.empty(prefix[-1], np.uint8)  # (L,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
@@ -57,7 +57,7 @@ def voxel_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -
 @njit(cache=True, nogil=True, parallel=True)
 def leaf_voxels(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> I32:
     """(L,) int32: the lowest voxel of each leaf, an index into the voxels in (b, z, y, x) C order."""
-    voxels = np.empty(prefix[-1], np.int32)
+    voxels = np.empty(prefix[-1], np.int32)  # (L,)
     for t in prange(len(trees)):
         b, gd, gh, gw = tree_place(t, grid)
         cells = np.empty((MAX_LEAVES, 4), np.int16)
@@ -77,7 +77,7 @@ def parent_leaves(
     `grid` is that of `trees`; the coarse trees have the same resolution (`shift` 0) or half of it (1).
     """
     coarse_grid = (grid[0] >> shift, grid[1] >> shift, grid[2] >> shift)
-    parents = np.empty(prefix[-1], np.int32)
+    parents = np.empty(prefix[-1], np.int32)  # (L,)
     for t in prange(len(trees)):
         b, gd, gh, gw = tree_place(t, grid)
         u = tree_at(b, gd >> shift, gh >> shift, gw >> shift, coarse_grid)
@@ -95,7 +95,7 @@ def parent_leaves(
 @njit(cache=True, nogil=True, parallel=True)
 def count_overlaps(trees: TreeArray, prefix: Prefix, other: TreeArray) -> I64:
     """(L,): how many leaves of the other trees, at the same resolution, share voxels with each leaf."""
-    counts = np.empty(prefix[-1], np.int64)
+    counts = np.empty(prefix[-1], np.int64)  # (L,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
@@ -118,8 +118,8 @@ def fill_overlaps(
 
     Those of leaf i are entries starts[i] to starts[i + 1].
     """
-    columns = np.empty(starts[-1], np.int32)
-    shares = np.empty(starts[-1], np.float32)
+    columns = np.empty(starts[-1], np.int32)  # (N,)
+    shares = np.empty(starts[-1], np.float32)  # (N,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
@@ -141,7 +141,7 @@ def fill_overlaps(
 def transpose(
     columns: I32, starts: I64, n_columns: int
 ) -> tuple[I64, I32, I64]:
-    """Of a sparse matrix in rows: where its columns start, the row of each entry, and its old place."""
+    """The columns of a sparse matrix in rows: where they start, the row of each entry, and its old place."""
     column_starts = np.zeros(n_columns + 1, np.int64)
     for column in columns:
         column_starts[column + 1] += 1

@@ -57,7 +57,7 @@ class Structure:
             if grid.shape != grids[0].shape:
                 raise OcnfError("octrees of a batch differ in size", where="OctreeBatch",
                                 field=f"grids[{b}]", found=grid.shape, expected=grids[0].shape)
-        return cls(np.stack([grid.trees for grid in grids]))
+        return cls(np.stack([grid.trees for grid in grids]))  # (B, GD, GH, GW, 2)
 
     @classmethod
     def full(cls, batch_size: int, shape: tuple[int, int, int]) -> Structure:
@@ -102,7 +102,7 @@ class Structure:
     @cached_property
     def leaves_per_grid(self) -> list[int]:
         """Leaves of each grid; they sum to L."""
-        bounds = self.prefix[:: len(self.flat) // self.batch_size]
+        bounds = self.prefix[:: len(self.flat) // self.batch_size]  # (B + 1,)
         return [int(n) for n in np.diff(bounds)]
 
     @cached_property
@@ -164,4 +164,4 @@ class Structure:
 
 
 def _leaf_volumes(structure: Structure) -> Tensor:
-    return torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None]
+    return torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None]  # (L, 1)

@@ -49,20 +49,20 @@ def gather(neighbours: Neighbours, features: Tensor,
 
     The second tensor is overwritten by the next chunk.
     """
-    table = neighbours.table.view(-1)
+    table = neighbours.table.view(-1)  # (R, 27) -> (27 R,)
     lengths = [chunk.leaves.stop - chunk.leaves.start for chunk in chunks if chunk.entries is None]
     buffer = features.new_empty(N_OFFSETS * max(lengths, default=0), features.shape[1])
     for chunk in chunks:
         first, end = N_OFFSETS * chunk.leaves.start, N_OFFSETS * chunk.leaves.stop
         if chunk.entries is None:
-            leaves = neighbours.regular[chunk.leaves]
+            leaves = neighbours.regular[chunk.leaves]  # (m,)
             gathered = torch.index_select(features, 0, table[first:end], out=buffer[: end - first])
         else:
-            leaves = neighbours.irregular[chunk.leaves]
-            starts = neighbours.starts[first : end + 1] - chunk.entries.start
+            leaves = neighbours.irregular[chunk.leaves]  # (m,)
+            starts = neighbours.starts[first : end + 1] - chunk.entries.start  # (27 m + 1,)
             gathered = sparse_product(starts, neighbours.columns[chunk.entries],
                                       neighbours.weights[chunk.entries], features)
-        yield leaves, gathered.view(len(leaves), -1)
+        yield leaves, gathered.view(len(leaves), -1)  # (27 m, C) -> (m, 27 C)
 
 
 def map_chunks(work: Callable[[Sequence[Chunk]], _Result], chunks: Sequence[Chunk],

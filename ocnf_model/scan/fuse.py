@@ -8,14 +8,15 @@ scaled into the cube of training, and the surface is in the scan's coordinates a
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from ocnf_data.arrays import F64, I64, Bool
+from ocnf_data.arrays import F64, I64, U8, Bool
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
@@ -23,6 +24,7 @@ from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_data.views.scans import Scan, read_scan
+from ocnf_data.views.scans.vertex_colour import vertex_colours, vertex_normals
 from ocnf_model.baselines import tvl1
 from ocnf_model.checkpoint import open_run
 from ocnf_model.devices import pick_device
@@ -30,7 +32,7 @@ from ocnf_model.evaluation.levels import run_levels
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
-from ocnf_model.scan.region import Region, largest_object, observed
+from ocnf_model.scan.region import Region, largest_object, looked_at, observed
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class FusedMesh:
         region: what was fused.
         resolution: voxels along the cube.
         seconds: fusion and reconstruction, without reading the scan and without marching cubes.
-        notes: what the reader left out.
+        notes: what the reader left out or assumed, and what it warns of.
+        colours: (N, 3) red, green, blue of the vertices, where the scan has colour.
     """
 
     vertices: F64
@@ -52,11 +55,13 @@ class FusedMesh:
     resolution: int
     seconds: float
     notes: tuple[str, ...]
+    colours: U8 | None = None
 
 
 def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = None, method: str = "ours",
              resolution: int | None = None, device: str = "auto", weight: float | None = None,
-             every: int = 1, keep_unseen: bool = False, console: Console | None = None) -> FusedMesh:
+             every: int = 1, keep_unseen: bool = False, console: Console | None = None,
+             reading: Mapping[str, Any] | None = None) -> FusedMesh:
     """Fuse a scan, write the mesh, and say what was done.
 
     Args:
@@ -72,6 +77,7 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
         every: take every n-th frame only.
         keep_unseen: keep the surfaces that close off what no camera has seen (see `observed`).
         console: to print to.
+        reading: further arguments of `read_scan`.
 
     Raises:
         OcnfError: the scan, the box or the run cannot be used, or no surface is left (`empty`).
@@ -82,8 +88,10 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
     chosen = parse_methods([method])[0]
     region = None if box is None else Region.of_box(box)
     fuser = _fuser(run, chosen, resolution, device, weight)
-    mesh = fuse_scan(read_scan(scan, every=every), fuser, region=region, keep_unseen=keep_unseen)
-    Store(out.parent).put_bytes(out.name, WRITERS[out.suffix.lower()](mesh.vertices, mesh.faces))
+    read = read_scan(scan, every=every, **(reading or {}))
+    mesh = fuse_scan(read, fuser, region=region, keep_unseen=keep_unseen)
+    data = WRITERS[out.suffix.lower()](mesh.vertices, mesh.faces, mesh.colours)
+    Store(out.parent).put_bytes(out.name, data)
     console = console or Console()
     for note in mesh.notes:
         console.print(f"Note: {note}", highlight=False, markup=False)
@@ -123,7 +131,7 @@ class Learned:
 
     @property
     def resolution(self) -> int:
-        """Of the result."""
+        """Voxels along each axis of the result."""
         return self.resolutions[-1]
 
     def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
@@ -147,6 +155,9 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
     pyramid = DepthPyramid(scan.views)
     if region is None:
         region = largest_object(pyramid) if scan.cube is None else Region.of_cube(*scan.cube)
+    if not looked_at(scan.views, region):
+        raise OcnfError("no surface was found in the region: no frame looks at it", code="empty", field="box",
+                        found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
     start = time.perf_counter()
     octree = fuser(pyramid, region)
     seconds = time.perf_counter() - start
@@ -158,7 +169,10 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
     if not len(faces):
         raise OcnfError("no surface was found in the region", code="empty", field="box",
                         found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
-    return FusedMesh(vertices, faces, region, fuser.resolution, seconds, scan.notes)
+    colours = None if scan.colour is None else vertex_colours(
+        vertices, scan, default_truncation(fuser.resolution, region.size), vertex_normals(vertices, faces))[0]
+    return FusedMesh(vertices, faces, region, fuser.resolution, seconds, (*scan.notes, *scan.warnings),
+                     colours)
 
 
 def _only(vertices: F64, faces: I64, kept: Bool) -> tuple[F64, I64]:

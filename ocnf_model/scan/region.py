@@ -18,6 +18,7 @@ _SEARCH_RESOLUTION = 128
 _SEARCH_POINTS = 200_000
 _OUTLIERS = 0.2  # per cent of the points at either end of an axis that do not stretch the search
 _SEARCH_MARGIN = 0.1
+_SAMPLES = 12  # along each side of a region, of whether it is looked at
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Region:
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """Of box and cube."""
+        """The centre of box and cube, (x, y, z) in metres."""
         x, y, z = ((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
         return x, y, z
 
@@ -97,6 +98,20 @@ def largest_object(views: Views | DepthPyramid) -> Region:
     voxel = size / _SEARCH_RESOLUTION
     corners = (zyx[::-1].T - _SEARCH_RESOLUTION / 2) * voxel + [x, y, z]
     return Region.of_box([*corners[0], *corners[1]])
+
+
+def looked_at(views: Views, region: Region) -> bool:
+    """Whether some part of a region's box lies in the picture of some frame, whatever was measured there."""
+    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, _SAMPLES)] * 3), axis=-1).reshape(-1, 3)
+    points = np.array(region.low) + grid * np.subtract(region.high, region.low)
+    height, width = views.size
+    for K, R, T in zip(views.K, views.R, views.T, strict=True):
+        x, y, z = R @ points.T + T[:, None]
+        before = z > 0
+        u, v = K[0, 0] * x[before] / z[before] + K[0, 2], K[1, 1] * y[before] / z[before] + K[1, 2]
+        if ((u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)).any():
+            return True
+    return False
 
 
 def observed(points: F64, views: Views, band: float) -> Bool:

@@ -100,9 +100,7 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World
          console: Console) -> OctNetFusion:
     torch.manual_seed(settings.seed)
     assert settings.output is not None and settings.resolutions is not None  # resolved
-    architecture = Architecture(encoding=settings.encoding, join=settings.join, carry=settings.carry,
-                                output=settings.output, channels=settings.channels, band=settings.band)
-    network = architecture.network(settings.levels, settings.checkpointing).to(world.device)
+    network = Architecture.of(settings).network(settings.levels, settings.checkpointing).to(world.device)
     training_data = _training_data(source, folder, settings)
     state, tensors = load_state(folder)
     if world.is_main and state.rows:

@@ -29,6 +29,7 @@ class Precision(StrEnum):
     """What the convolutions compute in; weights, losses and Adam stay float32."""
 
     FLOAT32 = "float32"
+    """Single precision throughout."""
     BFLOAT16 = "bfloat16"
     """Autocast: half the memory of the activations."""
 
@@ -46,15 +47,17 @@ class Stage(Strict):
     """How one level is trained; the defaults are those of the later levels."""
 
     epochs: Positive = 25
+    """Passes over the training split."""
     batch_size: Positive = 1
     """Samples a batch, for each process."""
     accumulate: Positive = 4
     """Batches whose gradients are averaged for one step; fewer at the end of an epoch."""
     learning_rate: Annotated[Real, Field(gt=0)] = 1e-4
-    """Of Adam, at first."""
+    """The learning rate of Adam, at the first step."""
     decay: Decay = Decay.NONE
+    """How the learning rate goes on."""
     weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
-    """Added to the gradient, times the weights."""
+    """L2 penalty: this times the weights is added to the gradient."""
 
     def rate(self, done: int, steps: int) -> float:
         """The learning rate of a step.
@@ -72,30 +75,46 @@ class TrainSettings(Strict):
     """A training run. None means: what the data set says."""
 
     levels: Positive = 3
+    """Resolutions that are reconstructed one after the other, coarse to fine."""
     resolutions: tuple[Positive, ...] | None = None
     """Voxels along each axis, level by level, each twice the one before; None for the data set's, coarse to
     fine."""
     encoding: Encoding = Encoding.HISTOGRAM
+    """Of the inputs; the data set has to hold it."""
     variant: str | None = None
     """Name of the inputs in the manifest; None for the only one that has the encoding."""
     categories: tuple[str, ...] | None = None
+    """Train and validate on these categories only; None for all of them."""
     train_split: str = "train"
+    """The split that the weights are fitted to."""
     val_split: str = "val"
+    """The split that chooses the best epoch of each level."""
     join: Join = Join.CONCAT
+    """How the decoder takes in the encoder's features."""
     carry: Carry = Carry.FEATURES
+    """What a level hands to the next one."""
     output: Output | None = None
-    """None for the data set's target."""
+    """What is reconstructed; None for the data set's target."""
     channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
+    """Features at the level's resolution, at half and at a quarter of it."""
     band: Annotated[Real, Field(gt=0)] = 1.0
-    """Of the structure module, in fine voxels."""
+    """How far from the reconstructed surface the next level's cells are split, in its voxels."""
+    context: Annotated[Int, Field(ge=0)] = 0
+    """Width of the first level's dense encoder-decoder that sees the whole volume, a multiple of 16;
+    0 for none (the paper)."""
+    residual: bool = False
+    """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """One for each level; the last one holds for all that follow."""
     seed: Annotated[Int, Field(ge=0)] = 0
-    """Of the weights, the order of the samples and the augmentation."""
+    """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE
+    """Symmetries of the cube that training samples are shown in."""
     shuffle_buffer: Positive = 1024
+    """Samples in the window that is shuffled; shards are shuffled whatever it is."""
     precision: Precision = Precision.FLOAT32
+    """What the convolutions compute in."""
     on_error: OnError = OnError.RAISE
     """What becomes of a damaged sample of a data set. (Bad meshes of a manifest give place to others.)"""
     checkpointing: bool = False

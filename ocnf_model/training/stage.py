@@ -202,8 +202,7 @@ class Trainer:
         job, network = self._job, self._job.network
         return Header(
             level=row.level, resolution=row.resolution,
-            architecture=Architecture(encoding=network.encoding, join=network.join, carry=network.carry,
-                                      output=network.output, channels=network.channels, band=network.band),
+            architecture=Architecture.of(network),
             data=job.facts, epoch=row.epoch, steps=row.steps,
             metrics={"mad_mm" if network.output is Output.TSDF else "mad": row.val_mad, "iou": row.val_iou,
                      "f_score": row.val_f_score or 0.0, "train_loss": row.train_loss},

@@ -100,7 +100,7 @@ def test_verify_info_and_repair(made) -> None:
     assert shard.read_bytes() == whole
     assert (out / "quarantine/train/shard-000001.tar").read_bytes() == damaged
     (out / "train/shard-000000.json").unlink()
-    assert "index was written anew" in ocnf("repair", out, "--jobs", 1).out
+    assert "index was written again" in ocnf("repair", out, "--jobs", 1).out
     assert ocnf("verify", out, "--jobs", 1).status == 0
     assert "no shard is damaged" in ocnf("repair", out, "--jobs", 1).out
 

@@ -64,8 +64,8 @@ def leaf_index(structure: Structure) -> np.ndarray:
     """(B, D, H, W): the leaf of each voxel, by way of `GridOctree`."""
     volumes, first = [], 0
     for trees in structure.trees:
-        octree = GridOctree(trees, np.zeros((_count(trees), 1), np.float32))
-        volumes.append(octree.leaf_index() + first)
+        octree = GridOctree(trees, np.arange(_count(trees), dtype=np.float32)[:, None])  # exact up to 2^24
+        volumes.append(octree.to_dense()[0].astype(np.int64) + first)
         first += octree.n_leaves
     return np.stack(volumes)
 

@@ -147,11 +147,10 @@ def test_a_planted_pickle_is_not_run(folder, tmp_path) -> None:
 
 def test_data_that_means_something_else_is_refused(folder) -> None:
     run = open_run(folder)
-    run.check_fits("scan", encoding="tsdf", truncation_voxels=2.0001, resolutions=[32, 64])
-    with pytest.raises(OcnfError, match="scan: encoding: the network was trained on something else"):
-        run.check_fits("scan", encoding="histogram")
-    with pytest.raises(OcnfError, match=r"truncation_voxels: .*found 3.0, expected 2.0"):
-        run.check_fits("scan", truncation_voxels=3.0)
+    run.check_truncation("scan", 2.0001)
+    for truncation_voxels in (1.9, 3.0):
+        with pytest.raises(OcnfError, match=rf"truncation_voxels: .*found {truncation_voxels}, expected 2.0"):
+            run.check_truncation("scan", truncation_voxels)
 
 
 def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, tmp_path) -> None:

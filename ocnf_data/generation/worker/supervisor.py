@@ -2,6 +2,10 @@
 
 An item that crashes its child or keeps it longer than the limit is tried once more, alone in a fresh child,
 and then gives a `Failure` (`crash`, `timeout`). The child lives on from item to item: imports are paid once.
+
+A pool of `pebble` in its place starts in 290 ms instead of 71, holds 25.5 MB in the supervising process
+instead of 16, notices a child that ends with status 0 at the time limit only, and does not start inside
+loky's workers (docs/decisions.md).
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import pickle
 import subprocess
@@ -145,6 +146,14 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
      ["inputs[0].sigma", "found -1", "greater than or equal to 0"]),
     ("noise as text", {"inputs": [{"name": "a", "views": 4, "sigma": "2%", "encodings": ["tsdf"]}]},
      ["inputs[0].sigma", "found '2%'", "number"]),
+    ("unknown noise", {"inputs": [{"name": "a", "views": 4, "noise": "kinekt", "encodings": ["tsdf"]}]},
+     ["inputs[0].noise", "found 'kinekt'", "'park' or 'kinect'"]),
+    ("sigma of a sensor", {"inputs": [
+        {"name": "a", "views": 4, "noise": "kinect", "sigma": 0.1, "encodings": ["tsdf"]}]},
+     ["inputs[0].sigma", "belongs to the noise park", "found 0.1"]),
+    ("strength without a sensor", {"inputs": [
+        {"name": "a", "views": 4, "strength": 2.0, "encodings": ["tsdf"]}]},
+     ["inputs[0].strength", "belongs to the noise kinect", "found 2.0"]),
     ("infinite", {"camera": {"fx": float("inf")}}, ["camera.fx", "found inf", "finite"]),
     ("truth for a number", {"inputs": [{"name": "a", "views": True, "encodings": ["tsdf"]}]},
      ["inputs[0].views", "found True", "integer"]),
@@ -309,6 +318,17 @@ def test_any_value_in_any_place_is_read_or_refused(data: st.DataObject) -> None:
 
 
 # ---- comparing
+
+
+def test_a_manifest_without_a_sensor_is_written_as_before_there_was_one() -> None:
+    """Data sets that were begun then are resumed now."""
+    park, kinect = example()["inputs"][0], {"name": "k", "views": 4, "noise": "kinect", "strength": 0.5,
+                                            "encodings": ["tsdf"]}
+    written = Manifest.from_dict(example(inputs=[park, kinect])).to_dict()["inputs"]
+    assert set(written[0]) == {"name", "views", "sigma", "encodings"}
+    assert written[1] == {**kinect, "sigma": 0.0, "metres": 1.0}
+    demo = load_manifest(MANIFESTS / "demo.yaml").canonical_json()
+    assert hashlib.sha256(demo.encode()).hexdigest().startswith("2cbb19f075367b2a")
 
 
 def test_differences_name_the_field_and_both_values() -> None:

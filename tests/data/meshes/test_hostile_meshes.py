@@ -1,8 +1,10 @@
 """Damaged and malicious files: our error with a reason code, in bounded memory, and nothing else."""
 
 import contextlib
+import functools
 import os
 import struct
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -168,11 +170,43 @@ def test_limits(tmp_path, valid):
     assert code_of(path.rename(tmp_path / "b.off"), max_faces=6) == "too_large"
 
 
-def test_a_sparse_file_is_not_read(tmp_path):
-    path = tmp_path / "huge.obj"
-    with path.open("wb") as file:
-        file.truncate(10 * 2**30)
-    assert code_of(path) == "too_large"
+_listeners: list[list[str]] = []
+
+
+@functools.cache
+def _listen() -> None:
+    """Python reports every file that it opens, by whatever function; such a hook stays for good."""
+
+    def hear(event: str, args: tuple) -> None:
+        if event == "open":
+            for opened in _listeners:
+                opened.append(os.fsdecode(args[0]) if isinstance(args[0], str | bytes) else str(args[0]))
+
+    sys.addaudithook(hear)
+
+
+@contextlib.contextmanager
+def files_opened():
+    """The names of all files that are opened within the block."""
+    _listen()
+    opened: list[str] = []
+    _listeners.append(opened)
+    try:
+        yield opened
+    finally:
+        _listeners.remove(opened)
+
+
+@pytest.mark.parametrize("suffix", sorted(FORMATS))
+def test_a_sparse_file_is_not_read(tmp_path, suffix):
+    """It is not even opened: its size alone tells."""
+    path = tmp_path / f"huge{suffix}"
+    with files_opened() as opened:
+        with path.open("wb") as file:
+            file.truncate(10 * 2**30)
+        assert opened == [str(path)]  # nothing is opened unheard
+        assert code_of(path) == "too_large"
+    assert opened == [str(path)]
 
 
 def test_things_that_are_no_files(tmp_path):
@@ -195,7 +229,7 @@ def test_no_permission(tmp_path, valid, monkeypatch):
     assert code_of(path) == "unreadable"
 
 
-def test_no_other_file_is_opened(tmp_path, valid, monkeypatch):
+def test_no_other_file_is_opened(tmp_path, valid):
     """Material and texture files named in a mesh stay closed."""
     (tmp_path / "a.mtl").write_text("newmtl x\nmap_Kd t.png\n")
     (tmp_path / "t.png").write_bytes(b"not a picture")
@@ -204,13 +238,10 @@ def test_no_other_file_is_opened(tmp_path, valid, monkeypatch):
     ply.write_bytes(valid[".ply"].replace(b"element vertex", b"comment TextureFile t.png\nelement vertex"))
     glb.write_bytes(valid[".glb"])
     read_mesh(glb)  # imports trimesh
-    opened = []
-    real = Path.open
-    monkeypatch.setattr(Path, "open", lambda self, *a, **k: (opened.append(self), real(self, *a, **k))[1])
-    monkeypatch.setattr("builtins.open", lambda name, *a, **k: pytest.fail(f"opened {name}"))
-    for path in (obj, ply, glb):
-        read_mesh(path)
-    assert opened == [obj, ply, glb]
+    with files_opened() as opened:
+        for path in (obj, ply, glb):
+            read_mesh(path)
+    assert opened == [str(obj), str(ply), str(glb)]
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

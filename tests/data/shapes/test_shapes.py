@@ -31,11 +31,17 @@ from ocnf_data.views import rigs
 
 COUNT = 25
 GOLDEN = {
-    "airplane": "bd1843b0a332", "bed": "de217a035a7b", "bottle": "48d11c72d06d",
-    "car": "333c7c33b1c4", "chair": "a43a844a5c03", "desk": "c9415305f71e",
-    "guitar": "fa882a6a7334", "lamp": "d4998ea97eaa", "monitor": "a5cbb64365ef",
-    "mug": "47b5e40b98a9", "plant": "6edbcc44ab5a", "shelf": "e6a4dd76e77d",
-    "sofa": "cf5000559ab4", "table": "40440a46d14d",
+    "airplane": "bd1843b0a332", "basket": "542c22bfb752", "bathtub": "320566f0fcbc",
+    "bed": "de217a035a7b", "bottle": "48d11c72d06d", "bowl": "2dc8e8727832",
+    "box": "8206511c7100", "bucket": "bb5685219e37", "car": "333c7c33b1c4",
+    "chair": "a43a844a5c03", "cup": "675dcd25a593", "desk": "c9415305f71e",
+    "fence": "8f4fd4692ff5", "glass": "7ce68af354ff", "guitar": "fa882a6a7334",
+    "knot": "3a31261661ff", "ladder": "e2e5fed5bec7", "lamp": "d4998ea97eaa",
+    "monitor": "a5cbb64365ef", "mug": "47b5e40b98a9", "pipe": "9f6ad4a826c9",
+    "pitcher": "ac4d3da835b5", "plant": "6edbcc44ab5a", "pole": "3083c4f5811c",
+    "pot": "bdd0790e60f6", "rack": "73a816e224dc", "ring": "e7df0e671a4f",
+    "shelf": "e6a4dd76e77d", "sofa": "cf5000559ab4", "stool": "c2d5475f6cf6",
+    "table": "40440a46d14d", "vase": "c55459e36a5a", "wheel": "661a3566e495",
 }  # fmt: skip
 
 

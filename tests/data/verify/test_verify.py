@@ -18,7 +18,7 @@ from ocnf_data.shards import (
     DatasetInfo,
     FileEntry,
     ShardWriter,
-    is_complete,
+    find_complete,
     load_dataset,
     write_dataset,
 )
@@ -38,7 +38,7 @@ def shown(show: Callable[[Console], object], width: int = 200) -> str:
 
 
 def rewrite(store: Store, failures: bytes | None = None, plan: bytes | None = None) -> None:
-    """Another dataset.json, vouching for other failures or another plan: wrong books, right bytes."""
+    """Another dataset.json, listing other failures or another plan: wrong books, right bytes."""
     info = load_dataset(store)
     files = {"failures.jsonl": failures, "plan.json": plan}
     for name, data in files.items():
@@ -161,7 +161,7 @@ def test_a_set_in_memory(octree_samples: list[tuple[str, Members]], write_set: C
     assert quarantine(store, TAR) == [f"quarantine/{INDEX}", f"quarantine/{TAR}"]
     assert store.read_bytes(f"quarantine/{TAR}") == bytes(blob)
     assert not store.exists(TAR)
-    assert not is_complete(store, "train", 0)
+    assert not find_complete(store, "train", 0)
 
 
 def test_repair_makes_the_data_set_whole_again(octree_set: Store,
@@ -240,6 +240,6 @@ def test_a_pipe_in_the_place_of_a_file_is_reported_and_not_opened(opaque_set: St
     for name in ("plan.json", "failures.jsonl", "failures/train-000009.jsonl"):
         (folder / name).unlink(missing_ok=True)
         os.mkfifo(folder / name)
-    vouched = {entry.name for entry in load_dataset(opaque_set).files}
+    listed = {entry.name for entry in load_dataset(opaque_set).files}
     problems = verify(opaque_set).problems
-    assert {problem.file for problem in problems if problem.code == "missing"} == vouched
+    assert {problem.file for problem in problems if problem.code == "missing"} == listed

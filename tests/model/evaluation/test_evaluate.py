@@ -40,7 +40,7 @@ def evaluation(tiny: str, network: OctNetFusion) -> Evaluation:
 
 def dense_figures(predicted: np.ndarray, true: np.ndarray, tau: float) -> tuple[float, ...]:
     """MAD in mm, IoU, precision, recall of two dense volumes."""
-    p, t = predicted <= 0, true <= 0
+    p, t = predicted < 0, true < 0
     both = (p & t).sum()
     clipped = [np.clip(volume.astype(np.float64), -1, 1) for volume in (predicted, true)]
     precision = both / p.sum() if p.any() else 1.0

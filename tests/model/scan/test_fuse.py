@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -14,7 +17,7 @@ from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import read_scan
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.scan.fuse import Baseline, Learned, fuse_scan, run_fuse
-from ocnf_model.scan.region import Region, largest_object, observed
+from ocnf_model.scan.region import Region, largest_object, looked_at, observed
 
 CENTRE, RADIUS = np.array([0.7, -1.2, 2.5]), 0.2  # as in conftest.py
 BOX = (*(CENTRE - 0.23), *(CENTRE + 0.23))
@@ -86,6 +89,32 @@ def test_observed_by_hand() -> None:
              (on * [-1, -1, 1], False), (on * [9, 1, 1], False), (on * [0, 0, 1], False)]
     found = observed(np.array([point for point, _ in cases]), views, 0.1)
     assert found.tolist() == [expected for _, expected in cases]
+
+
+def test_frames_that_all_look_away_are_said_to(scan: Path, tmp_path: Path) -> None:
+    read = read_scan(scan)
+    away = Views(read.views.depth, read.views.K, np.diag([-1.0, 1, -1]) @ read.views.R,
+                 read.views.T * [-1, 1, -1])
+    with pytest.raises(OcnfError, match="no frame looks at it"):
+        fuse_scan(replace(read, views=away), Baseline(32), region=Region.of_box(BOX))
+    assert looked_at(read.views, Region.of_box(BOX)) and not looked_at(away, Region.of_box(BOX))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_colour_reaches_the_vertices_of_the_file(scan: Path, tmp_path: Path, suffix: str) -> None:
+    folder = tmp_path / "coloured"
+    shutil.copytree(scan, folder)
+    for file in list(folder.glob("*.depth.png")):
+        image = np.full((240, 320, 3), (10, 120, 200), np.uint8)  # blue, green, red
+        cv2.imwrite(str(file).replace(".depth.", ".color."), image)
+    out = tmp_path / f"mesh{suffix}"
+    mesh = run_fuse("unused", str(folder), out=out, box=BOX, method="volfus", resolution=32,
+                    reading={"frames": "4"})
+    assert mesh.colours is not None and len(mesh.colours) == len(mesh.vertices)
+    written = trimesh.load(out, process=False)
+    assert len(written.vertices) == len(mesh.vertices)
+    np.testing.assert_array_equal(written.visual.vertex_colors[:, :3],
+                                  np.tile([200, 120, 10], (len(mesh.vertices), 1)))
 
 
 def test_bad_input(scan: Path, tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_a_bad_scan_is_refused_with_its_file(folder: Path, spoil: Callable[[Path
 def test_places_that_are_no_scans(folder: Path, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
-    for place, message in ((tmp_path / "nowhere", "no such scan"), (empty, "one file of intrinsics"),
+    for place, message in ((tmp_path / "nowhere", "no such scan"), (empty, "not a scan of a known format"),
                            (folder / "camera-intrinsics.txt", "not a scan")):
         with pytest.raises(OcnfError, match=message):
             read_scan(place)

@@ -1,0 +1,115 @@
+"""Posed depth scans: what a user has of a scene, in whatever format, as `Views`.
+
+`read_scan` is the one way in. A format is a module with a `ScanFormat`: whether a folder fits, and its
+listing of frames, each with its files, its pose as the file has it, and what its numbers mean. What happens
+after that (`load`) is the same for all. A pixel without a measurement becomes 0, never a free ray: a camera that
+measures nothing has not looked far.
+
+Nothing is guessed: units, the direction of the poses, intrinsics and invalid values are the format's, or the
+user's. Then neighbouring frames are laid over each other (`agreement`), and a note with figures says if they
+agree better under another reading.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.views.scans.kept import is_kept, read_kept_views
+from ocnf_data.views.scans.listing import Axes, Direction, Said, ScanFormat
+from ocnf_data.views.scans.load import load
+from ocnf_data.views.scans.redwood import OPEN3D
+from ocnf_data.views.scans.scan import Colour, Scan
+from ocnf_data.views.scans.scannet import SCANNET
+from ocnf_data.views.scans.seven_scenes import SEVEN_SCENES
+from ocnf_data.views.scans.transforms import TRANSFORMS
+from ocnf_data.views.scans.tum import TUM
+from ocnf_data.views.scans.voxlets import VOXLETS
+
+__all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
+
+SCAN_FORMATS: dict[str, ScanFormat] = {
+    one.name: one for one in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
+"""By the name that `--format` takes."""
+
+
+def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | int | None = None,
+              format: str | None = None, depth_scale: float | None = None,
+              intrinsics: Sequence[float] | None = None, poses: str | None = None, pose_scale: float = 1.0,
+              crop: Sequence[int] = (0, 0, 0, 0),
+              report: Callable[[int, int], None] | None = None) -> Scan:
+    """Read a scan of any format that is known here.
+
+    Args:
+        place: a folder, or `FILE.h5::KEY` of kept views.
+        every: take every n-th frame only.
+        frames: how many, evenly spread, or START:STOP:STEP (see `choose`).
+        format: one of SCAN_FORMATS; None: the one that the folder's names fit.
+        depth_scale: units of the stored depth in a metre, in place of the format's.
+        intrinsics: (fx, fy, cx, cy) of the depth maps in pixels, in place of the scan's.
+        poses: `camera-to-world` or `world-to-camera`, in place of the format's.
+        pose_scale: metres a unit of the poses' translations.
+        crop: pixels along (left, top, right, bottom) of the depth maps that are not used.
+        report: told (frames read, frames in all) after each frame.
+
+    Raises:
+        OcnfError: nothing there (`missing`), no known format or several, no frame that can be used (`empty`),
+            or one that is wrong, with its file: it is never left out in silence.
+    """
+    said = Said(depth_scale, _four(intrinsics), _direction(poses), pose_scale, _whole(crop))
+    text = os.fspath(place)
+    if format is None and is_kept(text):
+        return read_kept_views(text, frames, every)
+    if not Path(text).exists():
+        raise OcnfError("no such scan", code="missing", where=text)
+    chosen = _pick(Path(text), format)
+    return load(chosen.read(Path(text)), text, chosen.name, frames, every, said, report)
+
+
+def _pick(folder: Path, name: str | None) -> ScanFormat:
+    if name is not None:
+        if name not in SCAN_FORMATS:
+            raise OcnfError("no such format of scans", field="format", found=name,
+                            expected=", ".join(SCAN_FORMATS))
+        if not folder.is_dir():
+            raise OcnfError("not a folder", where=folder, expected=SCAN_FORMATS[name].holds)
+        return SCAN_FORMATS[name]
+    fitting = [one for one in SCAN_FORMATS.values() if one.fits(folder)]
+    if len(fitting) > 1:
+        raise OcnfError("the folder fits several formats", where=folder,
+                        found=", ".join(one.name for one in fitting), fix="say which with --format")
+    if not fitting:
+        known = "; ".join(f"{one.name}: {one.holds}" for one in SCAN_FORMATS.values())
+        raise OcnfError("not a scan of a known format", where=folder,
+                        expected=f"kept views as FILE.h5::KEY, or a folder with what one of these holds "
+                                 f"({known})")
+    return fitting[0]
+
+
+def _four(intrinsics: Sequence[float] | None) -> tuple[float, float, float, float] | None:
+    if intrinsics is None:
+        return None
+    if len(intrinsics) != 4:
+        raise OcnfError("not intrinsics", where="read_scan", field="intrinsics", found=tuple(intrinsics),
+                        expected="four numbers: fx, fy, cx, cy in pixels")
+    fx, fy, cx, cy = (float(value) for value in intrinsics)
+    return fx, fy, cx, cy
+
+
+def _direction(poses: str | None) -> Direction | None:
+    if poses is None:
+        return None
+    if poses not in tuple(Direction):
+        raise OcnfError("not a direction of poses", where="read_scan", field="poses", found=poses,
+                        expected=" or ".join(Direction))
+    return Direction(poses)
+
+
+def _whole(crop: Sequence[int]) -> tuple[int, int, int, int]:
+    if len(crop) != 4 or any(n != int(n) for n in crop):
+        raise OcnfError("not a crop", where="read_scan", field="crop", found=tuple(crop),
+                        expected="pixels (left, top, right, bottom)")
+    left, top, right, bottom = (int(n) for n in crop)
+    return left, top, right, bottom

@@ -1,0 +1,140 @@
+"""Do the frames of a scan agree with each other under the convention that they were read by?
+
+A pose that is taken the wrong way round, a trajectory in millimetres, a wrong depth scale or wrong
+intrinsics give no error by themselves: they give a surface that is fog. So depth of frame i is put into
+frame j, for pairs that are near in order: where both measured something, either they agree (within 3 %
+of the distance, or 3 cm), or one of them sees past the other. Surfaces hidden from one of them disagree
+rightly; but in a scan that is read rightly most depths agree, and under a wrong reading few do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocnf_data.arrays import F64
+from ocnf_data.errors import OcnfError
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.scans.listing import Axes
+from ocnf_data.views.scans.poses import FLIP
+
+_PAIRS = 60
+_STEPS = (1, 2, 4)  # how far apart in order the two frames of a pair are
+_POINTS = 3000  # a frame
+_TOLERANCE, _LEAST = 0.03, 0.03  # of the distance; metres
+_ENOUGH = 200  # depths to compare; fewer say nothing
+_FEW = 0.3  # less than this share agreeing is worth a warning
+_BETTER = 0.1  # another reading has to agree by this much more to be named
+_MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under it to be sure
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far frames agree.
+
+    Attributes:
+        compared: depths that one frame of a pair measured and that fell onto a measurement of the other.
+        share: of these, how many agree; NaN where nothing was compared.
+        inverse: the share if the poses were meant the other way round.
+        millimetres: the share if the translations were millimetres.
+    """
+
+    compared: int
+    share: float
+    inverse: float
+    millimetres: float
+
+    def __str__(self) -> str:
+        """Both figures, as a clause."""
+        return f"{_percent(self.share)} of the depths agree as read, {_percent(self.inverse)} " \
+               "with the poses the other way round"
+
+
+def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
+    """Compare pairs of frames that are near in order.
+
+    Args:
+        views: as they were read.
+        axes: of the cameras in the file's pose matrices, which the other way round is about.
+    """
+    to_world = np.tile(np.eye(4), (len(views), 1, 1))
+    to_world[:, :3, :3] = views.R.swapaxes(1, 2)
+    to_world[:, :3, 3] = -np.einsum("vji,vj->vi", views.R, views.T)
+    small = to_world.copy()
+    small[:, :3, 3] *= _MILLIMETRES
+    compared, share = _share(views, to_world)
+    flip = FLIP if axes is Axes.OPENGL else np.eye(4)
+    _, inverse = _share(views, np.linalg.inv(to_world @ flip) @ flip)
+    _, millimetres = _share(views, small)
+    return Agreement(compared, share, inverse, millimetres)
+
+
+def judge(found: Agreement, views: Views, where: object) -> list[str]:
+    """Warnings, a sentence each, about a scan that does not agree with itself.
+
+    Raises:
+        OcnfError: the translations are in millimetres.
+    """
+    spread = float(np.ptp(-np.einsum("vji,vj->vi", views.R, views.T), axis=0).max())
+    depth = views.depth[np.isfinite(views.depth) & (views.depth > 0)]
+    typical = float(np.median(depth)) if depth.size else 1.0
+    weak = not found.share >= _FEW  # NaN is weak
+    if weak and found.millimetres > _SURE and spread > 20 * typical:
+        raise OcnfError(
+            "the translations of the poses look like millimetres", where=where,
+            found=f"cameras spread over {spread:.4g} with depths of {typical:.2g} m; read as metres "
+                  f"{_percent(found.share)} of the depths of neighbouring frames agree, as millimetres "
+                  f"{_percent(found.millimetres)}",
+            expected="metres", fix="give the pose scale 0.001 if they are")
+    if len(views) < 2:
+        return []
+    if found.inverse > np.nan_to_num(found.share) + _BETTER:
+        return [f"the poses may be meant the other way round: {found}"]
+    if found.compared < _ENOUGH:
+        return [f"neighbouring frames hardly overlap ({found.compared} depths could be compared), so that "
+                "nothing confirms the direction of the poses and the scale of the depth"]
+    if weak:
+        return [f"the frames hardly agree with each other: {found}; check depth scale, intrinsics and poses"]
+    return []
+
+
+def _share(views: Views, to_world: F64) -> tuple[int, float]:
+    """(depths compared, share of them that agree) over the pairs; the share is NaN where there are none."""
+    n_agree = n_compared = 0
+    to_camera = np.linalg.inv(to_world)
+    for i, j in _pairs(len(views)):
+        near, compared = _compare(views, i, j, to_camera[j] @ to_world[i])
+        n_agree, n_compared = n_agree + near, n_compared + compared
+    return n_compared, n_agree / n_compared if n_compared else float("nan")
+
+
+def _pairs(n: int) -> list[tuple[int, int]]:
+    pairs = [(i, i + step) for step in _STEPS for i in range(n - step)]
+    return pairs[:: max(1, -(-len(pairs) // _PAIRS))]
+
+
+def _compare(views: Views, i: int, j: int, between: F64) -> tuple[int, int]:
+    """(how many agree, how many can be compared) of frame i's depths put into frame j by `between`."""
+    height, width = views.size
+    step = max(1, int(np.sqrt(height * width / _POINTS)))
+    v, u = (axis.ravel() for axis in np.mgrid[step // 2 : height : step, step // 2 : width : step])
+    z = views.depth[i, v, u].astype(np.float64)
+    hit = (z > 0) & np.isfinite(z)
+    u, v, z = u[hit], v[hit], z[hit]
+    K, L = views.K[i], views.K[j]
+    points = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z])
+    x, y, z = between[:3, :3] @ points + between[:3, 3:]
+    before = z > 1e-6
+    x, y, z = x[before], y[before], z[before]
+    column, row = np.floor(L[0, 0] * x / z + L[0, 2] + 0.5), np.floor(L[1, 1] * y / z + L[1, 2] + 0.5)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    measured = views.depth[j, row[inside].astype(np.int64), column[inside].astype(np.int64)]
+    z = z[inside]
+    known = (measured > 0) & np.isfinite(measured)
+    off = np.abs(measured - z)[known]
+    return int((off <= np.maximum(_TOLERANCE * z[known], _LEAST)).sum()), int(known.sum())
+
+
+def _percent(share: float) -> str:
+    return "none" if np.isnan(share) else f"{100 * share:.0f} %"

@@ -1,0 +1,165 @@
+"""What a format knows of a scan before any image is decoded, and what the user says about it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from ocnf_data.arrays import F64
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import storage_errors
+from ocnf_data.views.rigs import intrinsics as pinhole
+
+MILLIMETRES = 1e-3
+"""Metres a unit."""
+
+
+class Direction(StrEnum):
+    """What a pose matrix does with a point."""
+
+    CAMERA_TO_WORLD = "camera-to-world"
+    WORLD_TO_CAMERA = "world-to-camera"
+
+
+class Axes(StrEnum):
+    """How the axes of a camera lie."""
+
+    OPENCV = "opencv"
+    """x right, y down, z forward."""
+    OPENGL = "opengl"
+    """x right, y up, z backward."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One posed depth map.
+
+    Attributes:
+        name: by which it is spoken of.
+        depth: its file.
+        pose: (4, 4) as the format has it; not finite where the tracking was lost.
+        where: the file that the pose is from.
+        K: (3, 3) of the depth map, pixel centres on integers; None where the scan does not say.
+        colour: the colour image of the same moment and pose.
+        K_colour: (3, 3) of the colour image; None: as the depth map's.
+    """
+
+    name: str
+    depth: Path
+    pose: F64
+    where: Path
+    K: F64 | None
+    colour: Path | None = None
+    K_colour: F64 | None = None
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The frames of a scan in order, and what their numbers mean.
+
+    Attributes:
+        frames: those with depth and pose.
+        unit: metres a unit of the stored depth.
+        direction, axes: of the pose matrices.
+        cube: (centre, side) in metres of the space that the scan is about, where the format says.
+        notes: a sentence for each thing left out or assumed.
+        intrinsics: what to do where K is None.
+    """
+
+    frames: tuple[Frame, ...]
+    unit: float = MILLIMETRES
+    direction: Direction = Direction.CAMERA_TO_WORLD
+    axes: Axes = Axes.OPENCV
+    cube: tuple[tuple[float, float, float], float] | None = None
+    notes: tuple[str, ...] = ()
+    intrinsics: str = "give them as FX,FY,CX,CY"
+
+
+@dataclass(frozen=True)
+class ScanFormat:
+    """A format of scans.
+
+    Attributes:
+        name: for `--format`.
+        holds: what a folder of it holds, for messages.
+        fits: whether a folder, by the names in it, is of this format.
+        read: the folder's listing.
+    """
+
+    name: str
+    holds: str
+    fits: Callable[[Path], bool]
+    read: Callable[[Path], Listing]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What the user says in place of the format's own definition; None: the definition holds.
+
+    Attributes:
+        depth_scale: units of the stored depth in a metre (1000: millimetres, 5000: TUM's).
+        intrinsics: (fx, fy, cx, cy) in pixels of the depth map.
+        direction: of the pose matrices in the files.
+        pose_scale: metres a unit of the poses' translations (0.001 for a trajectory in millimetres).
+        crop: pixels along (left, top, right, bottom) of each depth map that are not used.
+    """
+
+    depth_scale: float | None = None
+    intrinsics: tuple[float, float, float, float] | None = None
+    direction: Direction | None = None
+    pose_scale: float = 1.0
+    crop: tuple[int, int, int, int] = (0, 0, 0, 0)
+
+    def __post_init__(self) -> None:
+        for field, value in (("depth_scale", self.depth_scale), ("pose_scale", self.pose_scale)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise OcnfError("not a scale", where="read_scan", field=field, found=value,
+                                expected="a number above 0")
+        if len(self.crop) != 4 or min(self.crop) < 0:
+            raise OcnfError("not a crop", where="read_scan", field="crop", found=self.crop,
+                            expected="pixels (left, top, right, bottom), none of them negative")
+        if self.intrinsics is not None:
+            check_pinhole(pinhole(*self.intrinsics), "read_scan")
+
+
+def check_pinhole(K: F64, where: object) -> F64:
+    """K (3, 3) if it is that of a pinhole without skew.
+
+    Raises:
+        OcnfError: it is not.
+    """
+    fits = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
+    if not fits or not np.array_equal(K * [[0, 1, 0], [1, 0, 0], [1, 1, 1]], np.diag([0.0, 0.0, 1.0])):
+        raise OcnfError("not a pinhole's intrinsics", where=where, found=K.tolist(),
+                        expected="[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], finite, with fx, fy > 0")
+    return K
+
+
+def names_in(folder: Path) -> list[str]:
+    """The names of all that lies directly in a folder, sorted; none where it is not a folder."""
+    if not folder.is_dir():
+        return []
+    with storage_errors(folder):
+        return sorted(entry.name for entry in folder.iterdir())
+
+
+def numbered(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
+    """The files of a folder with one of the suffixes, by stem, in the order of the numbers in their names."""
+    chosen = [Path(name) for name in names_in(folder) if Path(name).suffix.lower() in suffixes]
+    return {name.stem: folder / name for name in sorted(chosen, key=_by_number)}
+
+
+def _by_number(name: Path) -> tuple[list[int], str]:
+    return [int(digits) for digits in re.findall(r"\d+", name.stem)], name.stem
+
+
+def unmatched(depths: Iterable[str], poses: Iterable[str]) -> list[str]:
+    """A note for each depth map without a pose, and each pose without a depth map."""
+    depths, poses = set(depths), set(poses)
+    return ([f"{name}: a depth map without a pose, left out" for name in sorted(depths - poses)]
+            + [f"{name}: a pose without a depth map, left out" for name in sorted(poses - depths)])

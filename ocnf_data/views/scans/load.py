@@ -1,0 +1,123 @@
+"""From a listing to a scan: choose frames, check poses, decode depth, look whether the frames agree."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ocnf_data.arrays import F32, F64
+from ocnf_data.errors import OcnfError
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.rigs import intrinsics as pinhole
+from ocnf_data.views.scans.agreement import agreement, judge
+from ocnf_data.views.scans.images import image_size, read_depth
+from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole
+from ocnf_data.views.scans.poses import to_camera
+from ocnf_data.views.scans.scan import Colour, Scan, to_metres
+from ocnf_data.views.scans.selection import choose
+
+_MAX_FRAMES = 20_000
+_THREADS = 8  # decoding lets go of the interpreter's lock
+_MAX_BYTES = 2**34  # of depth as float32: 14,000 frames at 640x480
+
+
+def load(listing: Listing, where: object, format_name: str, frames: str | int | None = None, every: int = 1,
+         said: Said | None = None, report: Callable[[int, int], None] | None = None) -> Scan:
+    """The scan.
+
+    Frames whose pose is not finite (the tracking was lost) are left out, by name, before frames are chosen.
+
+    Args:
+        listing: of all frames.
+        where: the scan, for messages.
+        format_name: recorded in the scan.
+        frames: how many, or which range (see `choose`).
+        every: take every n-th of these only.
+        said: what the user says in place of the format's definition.
+        report: told (frames read, frames in all) after each frame.
+
+    Raises:
+        OcnfError: no frame that can be used, a pose that is not rigid, a depth map that is damaged or of
+            another size, no intrinsics, translations in millimetres.
+    """
+    said = said or Said()
+    notes = list(listing.notes)
+    lost = [frame for frame in listing.frames if not np.isfinite(frame.pose).all()]
+    notes += [f"{frame.name}: the pose is not known (NaN or infinite), left out" for frame in lost]
+    posed = [frame for frame in listing.frames if np.isfinite(frame.pose).all()]
+    if not posed:
+        raise OcnfError("no frame can be used", code="empty", where=where, found="; ".join(notes) or None)
+    chosen = [posed[i] for i in choose(len(posed), frames, every)]
+    K = _intrinsics(chosen, listing, said, where)
+    poses = np.stack([frame.pose for frame in chosen])
+    names = [f"{frame.where}" if frame.name in frame.where.name else f"{frame.where}: {frame.name}"
+             for frame in chosen]
+    R, T = to_camera(poses, names, said.direction or listing.direction, listing.axes, said.pose_scale)
+    unit = listing.unit if said.depth_scale is None else 1 / said.depth_scale
+    depth = _crop(_read_depths(chosen, unit, where, report), said.crop, where)
+    views = Views(depth, K, R, T)
+    found = agreement(views, listing.axes)
+    warnings = tuple(judge(found, views, where))
+    return Scan(views, tuple(frame.name for frame in chosen), listing.cube, tuple(notes), _colour(chosen, K),
+                format_name, found, warnings)
+
+
+def _intrinsics(frames: Sequence[Frame], listing: Listing, said: Said, where: object) -> F64:
+    """(V, 3, 3)."""
+    if said.intrinsics is not None:
+        return np.tile(pinhole(*said.intrinsics), (len(frames), 1, 1))
+    matrices = []
+    for frame in frames:
+        if frame.K is None:
+            raise OcnfError("the scan does not say its intrinsics", code="missing", where=where,
+                            field="intrinsics", fix=listing.intrinsics)
+        matrices.append(check_pinhole(frame.K, where))
+    return np.stack(matrices)
+
+
+def _read_depths(frames: Sequence[Frame], unit: float, where: object,
+                 report: Callable[[int, int], None] | None) -> F32:
+    """(V, H, W) float32 metres, 0 where nothing was measured."""
+    height, width = image_size(frames[0].depth)
+    if len(frames) > _MAX_FRAMES or height * width * 4 * len(frames) > _MAX_BYTES:
+        raise OcnfError("too many frames to hold in memory", code="too_large", where=where,
+                        found=f"{len(frames)} of {height}x{width}", fix="take fewer frames")
+    depth = np.empty((len(frames), height, width), np.float32)
+
+    def read(i: int) -> None:
+        stored = read_depth(frames[i].depth)
+        if stored.shape != (height, width):
+            raise OcnfError("frames differ in size", where=frames[i].depth, found=stored.shape,
+                            expected=(height, width))
+        depth[i] = to_metres(stored, unit)
+        if not (depth[i] >= 0).all():
+            raise OcnfError("depth is negative", where=frames[i].depth, found=float(depth[i].min()))
+
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, _THREADS)) as pool:
+        for done, _ in enumerate(pool.map(read, range(len(frames))), 1):
+            if report is not None:
+                report(done, len(frames))
+    return depth
+
+
+def _crop(depth: F32, crop: tuple[int, int, int, int], where: object) -> F32:
+    """Take what was measured along the borders for not measured; the intrinsics stay as they are."""
+    left, top, right, bottom = crop
+    height, width = depth.shape[1:]
+    if left + right >= width or top + bottom >= height:
+        raise OcnfError("the crop leaves nothing", where=where, field="crop", found=crop,
+                        expected=f"less than {width}x{height} pixels")
+    inner = np.zeros((height, width), bool)
+    inner[top : height - bottom, left : width - right] = True
+    depth[:, ~inner] = 0
+    return depth
+
+
+def _colour(frames: Sequence[Frame], K: F64) -> Colour | None:
+    if not any(frame.colour for frame in frames):
+        return None
+    own = [K[i] if frame.K_colour is None else frame.K_colour for i, frame in enumerate(frames)]
+    return Colour([frame.colour for frame in frames], np.stack(own))

@@ -1,0 +1,146 @@
+"""A scan: posed depth, with colour where there is some."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ocnf_data.arrays import F32, F64, U8
+from ocnf_data.errors import OcnfError
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.scans.agreement import Agreement, agreement, judge
+from ocnf_data.views.scans.images import read_colour
+from ocnf_data.views.scans.listing import Axes, Direction
+from ocnf_data.views.scans.poses import to_camera
+
+
+@dataclass(frozen=True)
+class Colour:
+    """The colour images of a scan, read one at a time: together they can be larger than memory.
+
+    Attributes:
+        images: a file, or an array (H, W, 3) uint8, or None for a frame without, for each of the V frames.
+        K: (V, 3, 3) intrinsics of the colour images, pixels; the pose is that of the frame's depth map.
+    """
+
+    images: Sequence[Path | U8 | None]
+    K: F64
+
+    def image(self, i: int) -> U8 | None:
+        """(H, W, 3) uint8 red, green, blue of frame i; None where it has none."""
+        image = self.images[i]
+        return read_colour(image) if isinstance(image, Path) else image
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Posed depth of a scene.
+
+    Attributes:
+        views: depth in metres, 0 where there is no measurement.
+        names: of the V frames.
+        cube: (centre (x, y, z), side) in metres of the space that the views were made for, where it is known.
+        notes: what was left out or assumed, a sentence each.
+        warnings: what looks wrong, with figures, a sentence each.
+        colour: where the scan has it.
+        format: the name of the format it was read from.
+        agreement: of neighbouring frames; None where it was not looked at.
+    """
+
+    views: Views
+    names: tuple[str, ...]
+    cube: tuple[tuple[float, float, float], float] | None = None
+    notes: tuple[str, ...] = ()
+    colour: Colour | None = None
+    format: str = "arrays"
+    agreement: Agreement | None = None
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def from_arrays(cls, depth: npt.ArrayLike, K: npt.ArrayLike, poses: npt.ArrayLike,
+                    colour: npt.ArrayLike | None = None, *, depth_scale: float | None = None,
+                    direction: Direction | str = Direction.CAMERA_TO_WORLD, axes: Axes | str = Axes.OPENCV,
+                    names: Sequence[str] | None = None) -> Scan:
+        """A scan of what is in memory.
+
+        >>> depth, K = np.full((2, 4, 4), 1000, np.uint16), [[4, 0, 1.5], [0, 4, 1.5], [0, 0, 1]]
+        >>> Scan.from_arrays(depth, K, [np.eye(4)] * 2, depth_scale=1000).views.depth[0, 0, 0]
+        np.float32(1.0)
+
+        Args:
+            depth: (V, H, W) z of the camera, not the length of the ray. Floating point: metres, unless
+                `depth_scale` says otherwise; 0 and NaN are no measurement, `inf` is a free ray. Integers:
+                `depth_scale` is needed; 0 and 65535 are no measurement.
+            K: (3, 3) or (V, 3, 3) intrinsics in pixels, pixel centres on integers.
+            poses: (V, 4, 4), translation in metres.
+            colour: (V, H', W', 3) uint8 red, green, blue; H' x W' is a multiple of H x W of the same view.
+            depth_scale: units in a metre.
+            direction: `camera-to-world` or `world-to-camera`.
+            axes: `opencv` (x right, y down, z forward) or `opengl` (y up, z backward) of the cameras.
+            names: of the frames.
+
+        Raises:
+            OcnfError: shapes that do not fit, a pose that is not finite or not rigid (with the frame's name),
+                integers without a scale.
+        """
+        metres = _metres(np.asarray(depth), depth_scale)
+        matrices = np.asarray(poses, dtype=np.float64)
+        n = len(metres)
+        if matrices.shape != (n, 4, 4):
+            raise OcnfError(f"the poses do not fit the {n} depth maps", where="Scan.from_arrays",
+                            field="poses", found=matrices.shape, expected=(n, 4, 4))
+        called = tuple(names) if names is not None else tuple(f"frame {i}" for i in range(n))
+        if len(called) != n:
+            raise OcnfError(f"the names do not fit the {n} depth maps", where="Scan.from_arrays",
+                            field="names", found=len(called), expected=n)
+        R, T = to_camera(matrices, [f"Scan.from_arrays: {name}" for name in called], Direction(direction),
+                         Axes(axes))
+        views = Views(metres, np.asarray(K, dtype=np.float64), R, T)
+        found = agreement(views, Axes(axes))
+        return cls(views, called, colour=_colour(colour, views), agreement=found,
+                   warnings=tuple(judge(found, views, "Scan.from_arrays")))
+
+
+def _metres(depth: npt.NDArray[Any], scale: float | None) -> F32:
+    if depth.ndim != 3 or depth.size == 0 or depth.dtype.kind not in "fui":
+        raise OcnfError("depth is not a stack of maps", where="Scan.from_arrays", field="depth",
+                        found=f"{depth.dtype} {depth.shape}", expected="numbers (V, H, W)")
+    whole = depth.dtype.kind in "ui"
+    if scale is None and whole:
+        raise OcnfError("whole numbers are in no known unit", where="Scan.from_arrays", field="depth_scale",
+                        found=depth.dtype, expected="units in a metre, such as 1000 for millimetres")
+    return to_metres(depth, 1 / (scale or 1.0))
+
+
+def to_metres(stored: npt.NDArray[Any], unit: float) -> F32:
+    """Depth in metres from stored numbers of `unit` metres; 0 where nothing was measured.
+
+    Nothing was measured at 0, at 65535 of whole numbers, and at NaN of floating-point ones.
+    """
+    metres = (stored * np.float32(unit)).astype(np.float32)
+    metres[stored == 65535 if stored.dtype.kind in "ui" else np.isnan(metres)] = 0
+    return metres
+
+
+def _colour(colour: npt.ArrayLike | None, views: Views) -> Colour | None:
+    if colour is None:
+        return None
+    images = np.asarray(colour)
+    if images.ndim != 4 or images.shape[0] != len(views) or images.shape[3] != 3 or images.dtype != np.uint8:
+        raise OcnfError("colour does not fit the depth", where="Scan.from_arrays", field="colour",
+                        found=f"{images.dtype} {images.shape}", expected=f"uint8 ({len(views)}, H, W, 3)")
+    return Colour(list(images), resized(views.K, views.size, (images.shape[1], images.shape[2])))
+
+
+def resized(K: F64, before: tuple[int, int], after: tuple[int, int]) -> F64:
+    """K (..., 3, 3) of images (H, W) scaled to another size; pixel centres stay on integers."""
+    scale = np.array([after[1] / before[1], after[0] / before[0]])
+    new = np.array(K, dtype=np.float64)
+    new[..., :2, :2] *= scale[:, None]
+    new[..., :2, 2] = (new[..., :2, 2] + 0.5) * scale - 0.5
+    return new
