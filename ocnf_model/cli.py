@@ -59,7 +59,8 @@ def train_command(
         help="The input variant, by its name in the manifest.")] = None,
     epochs: Annotated[str | None, typer.Option(
         metavar="N,...",
-        help="Epochs of each level; the last number holds for all later levels. [50,25,25]")] = None,
+        help="Epochs of each level; the last number holds for all later levels. A run can be continued with "
+             "more. [50,25,25]")] = None,
     batch_size: Annotated[str | None, typer.Option(
         metavar="N,...", help="Samples per batch and process, level by level. [4,1,1]")] = None,
     accumulate: Annotated[str | None, typer.Option(
@@ -84,6 +85,9 @@ def train_command(
     checkpointing: Annotated[bool | None, typer.Option(
         "--checkpointing/--no-checkpointing", help="Compute activations again instead of keeping them.",
         show_default=False)] = None,
+    best_by: Annotated[str | None, typer.Option(
+        help="Measure that chooses the best checkpoint: mad, iou, f_score or mad_and_f_score. "
+             "[mad_and_f_score]")] = None,
     seed: Annotated[int | None, typer.Option(
         min=0, help="Seed of the first weights and the order of the samples. [0]")] = None,
     workers: Annotated[int | None, typer.Option(
@@ -103,7 +107,7 @@ def train_command(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
-         "seed": seed, "workers": workers},
+         "best_by": best_by, "seed": seed, "workers": workers},
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)

@@ -91,9 +91,10 @@ ARROWS = {
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
-        "ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.synthesis "
-        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses ocnf_model.metrics "
-        "ocnf_model.network ocnf_model.octree ocnf_model.tensorfile",
+        "ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards "
+        "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses "
+        "ocnf_model.measures ocnf_model.metrics ocnf_model.network ocnf_model.octree "
+        "ocnf_model.tensorfile",
 }
 
 # From the ground up: a room imports its own floor and those below it. Rooms not named are on `THE_REST`.
@@ -132,6 +133,7 @@ BORROWED = """
     ocnf_data.octree.bits
     ocnf_data.octree.surface
     ocnf_data.octree.triangles
+    ocnf_data.render.pictures
     ocnf_data.render.shade
     ocnf_data.shards
     ocnf_data.shards.dataset

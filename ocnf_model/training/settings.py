@@ -23,6 +23,7 @@ from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
 from ocnf_model.checkpoint import MAX_CHANNELS, Channels
 from ocnf_model.network import Carry, Join, Output
+from ocnf_model.training.choice import BestBy
 
 
 class Precision(StrEnum):
@@ -124,6 +125,8 @@ class TrainSettings(Strict):
     """Keep fewer activations for the backward pass, and compute them again."""
     workers: Annotated[Int, Field(ge=0)] = 1
     """Processes that read and decode, for each training process; 0 reads in the training process."""
+    best_by: BestBy = BestBy.MAD_AND_F_SCORE
+    """Which epoch's weights are a level's best checkpoint, and what the next level is trained on."""
     save_every: Positive = 50
     """Steps of the optimiser between two saved states, apart from those at the ends of epochs."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -26,13 +26,14 @@ from ocnf_model.checkpoint import (
     torch_version,
 )
 from ocnf_model.losses import bce_loss, l1_loss
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
+from ocnf_model.training.choice import is_better
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
 from ocnf_model.training.settings import Precision, TrainSettings
 from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
+from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
 LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
@@ -100,8 +101,8 @@ class Trainer:
             if state.step < len(self._job.training):
                 self._train(loader)
             self._save()
-            mad, iou = self._validate(validation)
-            self._finish_epoch(mad, iou, time.monotonic() - began)
+            found = self._validate(validation)
+            self._finish_epoch(found, time.monotonic() - began)
 
     # ---- training
 
@@ -121,7 +122,7 @@ class Trainer:
             met.clear()
             state.loader = self._job.training.state_dict(batch)
             self._report.advance(f"loss {loss:.5f}")
-            self._report.step(state.steps, loss)
+            self._report.step(state.steps, loss, self._optimiser.param_groups[0]["lr"])
             if state.steps % self._job.settings.save_every == 0 and state.step < n_batches:
                 self._save()
 
@@ -179,45 +180,38 @@ class Trainer:
     # ---- validation
 
     @torch.no_grad()
-    def _validate(self, loader: DataLoader[Batch]) -> tuple[float, float]:
-        """Mean MAD and IoU over the validation samples of all ranks."""
+    def _validate(self, loader: DataLoader[Batch]) -> Validation:
+        """Means over the validation samples of all ranks."""
         job = self._job
-        is_tsdf = job.network.output is Output.TSDF
-        # With tau = 1 mm the difference of probabilities stays as it is.
-        tau = job.facts.tau(self._resolution) if is_tsdf else 1e-3
-        overlap = tsdf_overlap if is_tsdf else occupancy_overlap
+        validator = Validator(job.network.output, job.network.encoding, job.facts.tau(self._resolution))
         self._report.begin("validation", len(job.validation))
         self._level.eval()
-        sums = [0.0, 0.0, 0.0]
         job.validation.set_epoch(0)
         for batch in loader:
             if not len(batch):
                 continue
             example = self._example(batch)
-            prediction = self._forward(example).reconstruction.to(dtype=torch.float32)
-            mads = mad_mm(prediction, example.target, tau)
-            sums[0] += float(mads.sum())
-            sums[1] += float(overlap(prediction, example.target).iou.sum())
-            sums[2] += len(mads)
+            validator.add(self._forward(example).reconstruction.to(dtype=torch.float32), example)
             self._report.advance()
-        mad, iou, count = job.world.sum(sums)
-        if not count:
+        found = validator.means(job.world.sum)
+        if found is None:
             raise OcnfError("no validation sample could be read", code="empty", where=job.folder)
-        return mad / count, iou / count
+        return found
 
-    def _finish_epoch(self, mad: float, iou: float, seconds: float) -> None:
-        state, best = self._state, self._state.best
+    def _finish_epoch(self, found: Validation, seconds: float) -> None:
+        state = self._state
         row = EpochRow(
             level=state.level + 1, epoch=state.epoch + 1, resolution=self._resolution, steps=state.steps,
-            train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=mad, val_iou=iou,
-            seconds=round(seconds, 3), best=best is None or mad < best.val_mad)
+            train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=found.mad, val_iou=found.iou,
+            seconds=round(seconds, 3), best=False, val_f_score=found.f_score)
+        row = replace(row, best=is_better(row, state.best, self._job.settings.best_by))
         if row.best and self._job.world.is_main:
             save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
         state.rows.append(row)
         state.epoch, state.step = state.epoch + 1, 0
         state.loss_sum = state.loss_count = 0.0
         self._save()
-        self._report.epoch(state.rows)
+        self._report.epoch(state.rows, found)
 
     def _header(self, row: EpochRow) -> Header:
         job, network = self._job, self._job.network
@@ -226,7 +220,7 @@ class Trainer:
             architecture=Architecture.of(network),
             data=job.facts, epoch=row.epoch, steps=row.steps,
             metrics={"mad_mm" if network.output is Output.TSDF else "mad": row.val_mad, "iou": row.val_iou,
-                     "train_loss": row.train_loss},
+                     "f_score": row.val_f_score or 0.0, "train_loss": row.train_loss},
             settings=job.settings.decisive(),
             built_on=checkpoint_sha256(job.folder, row.level - 1) if row.level > 1 else None,
             torch=torch_version(),

@@ -42,7 +42,8 @@ class EpochRow:
         val_mad: millimetres, or for occupancy the mean difference of probabilities.
         val_iou: mean over the validation samples.
         seconds: training and validation, since the last start where it was resumed.
-        best: whether it is the level's best so far, by val_mad.
+        best: whether it is the level's best so far, by the measure of the settings.
+        val_f_score: of the surface at one voxel; None of a version that did not measure it.
     """
 
     level: int
@@ -54,6 +55,7 @@ class EpochRow:
     val_iou: float
     seconds: float
     best: bool
+    val_f_score: float | None = None
 
 
 @dataclass
@@ -61,7 +63,7 @@ class TrainState:
     """Where a run is.
 
     Attributes:
-        level: from 0; the number of levels when all is done.
+        level: from 0; when all is done it is the last one, whose epochs are all done.
         epoch: from 0.
         step: batches of the epoch that are done.
         steps: of the optimiser, in this level.
