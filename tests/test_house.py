@@ -125,8 +125,10 @@ BORROWED = """
     ocnf_data.generation.remake
     ocnf_data.loading.arguments
     ocnf_data.loading.augment
+    ocnf_data.loading.catalogue
     ocnf_data.loading.dataset
     ocnf_data.loading.epochs
+    ocnf_data.loading.mixture
     ocnf_data.manifest
     ocnf_data.meshes.writing
     ocnf_data.octree

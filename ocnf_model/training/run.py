@@ -77,8 +77,7 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
         world.wait()
         for level in range(settings.levels):  # whatever is missing is said before hours of training
             variant = source.validation(folder, settings, level).variant
-        if isinstance(source, StoredData):
-            variant = source.training(folder, settings, settings.levels - 1).variant
+        source.training(folder, settings, settings.levels - 1)
         settings = asked.resolved(source.manifest, variant, data)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:

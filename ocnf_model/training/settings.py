@@ -75,6 +75,19 @@ class Stage(Strict):
         return self.learning_rate * (1 + math.cos(math.pi * done / steps)) / 2
 
 
+class MixturePart(Strict):
+    """One of several data sets that are trained on together."""
+
+    data: str | None = None
+    """A data set or a manifest; None for the one that is validated with."""
+    meshes: str | None = None
+    """With a manifest: the folder that its mesh paths are relative to; None for the command line's."""
+    variant: str | None = None
+    """Name of the inputs in a data set; None for the only one that has the encoding."""
+    weight: Annotated[Real, Field(gt=0, le=1e6)] = 1.0
+    """How often samples are drawn from it, relative to the other parts."""
+
+
 class TrainSettings(Strict):
     """A training run. None means: what the data set says."""
 
@@ -87,6 +100,11 @@ class TrainSettings(Strict):
     """Of the inputs; the data set has to hold it."""
     variant: str | None = None
     """Name of the inputs in the manifest; None for the only one that has the encoding."""
+    mixture: Annotated[tuple[MixturePart, ...], NotEmpty] | None = None
+    """Data sets, variants of one, and manifests to train on, each sample from one of them by chance; None for
+    the data set alone. Needs `samples_per_epoch`."""
+    samples_per_epoch: Positive | None = None
+    """How many samples make an epoch; None for all of the data set's, or what the manifest says."""
     categories: tuple[str, ...] | None = None
     """Train and validate on these categories only; None for all of them."""
     train_split: str = "train"
@@ -180,12 +198,17 @@ class TrainSettings(Strict):
         return read_settings(filled, where)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values of all fields."""
-        return self.model_dump(mode="json")
+        """JSON values of all fields. Those of mixtures are left out where there is none, as in older runs."""
+        fields = self.model_dump(mode="json")
+        return {name: value for name, value in fields.items()
+                if value is not None or name not in ("mixture", "samples_per_epoch")}
 
     def decisive(self) -> dict[str, Any]:
-        """JSON values of the fields that the weights depend on."""
-        return {name: value for name, value in self.to_dict().items() if name not in FREE_TO_CHANGE}
+        """Values of the fields that the weights depend on. Where a mixture's parts lie is none of them."""
+        fields = {name: value for name, value in self.to_dict().items() if name not in FREE_TO_CHANGE}
+        if self.mixture is not None:
+            fields["mixture"] = [{"variant": part.variant, "weight": part.weight} for part in self.mixture]
+        return fields
 
 
 FREE_TO_CHANGE = frozenset({"checkpointing", "workers", "save_every"})
@@ -201,7 +224,8 @@ def _difference(ours: Any, theirs: Any, at: str) -> tuple[str, Any, Any] | None:
     if ours == theirs:
         return None
     if isinstance(ours, dict):
-        found = (_difference(ours[name], theirs[name], f"{at}.{name}" if at else name) for name in ours)
+        found = (_difference(ours.get(name), theirs.get(name), f"{at}.{name}" if at else name)
+                 for name in {**ours, **theirs})
     elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
         found = (_difference(a, b, f"{at}[{i}]") for i, (a, b) in enumerate(zip(ours, theirs, strict=True)))
     else:
