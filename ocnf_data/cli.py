@@ -136,12 +136,13 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import find_damaged, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.repair import damaged_shards, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.verify import verify
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
-        damaged = find_damaged(folder, jobs, progress)
-    if not damaged:
+        report = verify(folder, jobs, progress)
+    if not (damaged := damaged_shards(report)):
         _out.print("[green]no shard is damaged[/]")
     lost = []
     for shard in damaged:
@@ -150,16 +151,22 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
             _out.print("  the tar is whole, its index was written again", highlight=False)
         else:
             lost.append(shard)
-    if not lost:
+    if lost:
+        # Whatever stands in the way of making them again is said before anything is set aside.
+        adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
+        for shard in lost:
+            for name in quarantine(folder, shard.path):
+                _out.print(f"set aside as {name}", highlight=False)
+        _out.print(generate(manifest, folder, meshes, jobs).table())
+    else:
         for name in restore_catalogues(folder):
             _out.print(f"{name} was written anew from the indices", highlight=False)
-        return
-    # Whatever stands in the way of making them again is said before anything is set aside.
-    adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
-    for shard in lost:
-        for name in quarantine(folder, shard.path):
-            _out.print(f"set aside as {name}", highlight=False)
-    _out.print(generate(manifest, folder, meshes, jobs).table())
+    if not report.ok:
+        with _Bar("verifying") as progress:
+            left = verify(folder, jobs, progress).problems
+        for problem in left:
+            print_error(f"cannot be repaired: {problem}", _err)
+        raise typer.Exit(1 if left else 0)
 
 
 @app.command("doctor")

@@ -39,6 +39,7 @@ from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
 _SCHEMA = 1
+_MAX_SETTINGS = 16 * 2**20  # bytes
 
 
 def train(data: str | Path, out: str | Path, settings: TrainSettings | None = None, *, device: str = "auto",
@@ -179,7 +180,7 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, TrainingData]:
     """
     where = Store(folder).where(SETTINGS)
     try:
-        fields = json.loads(Store(folder).read_bytes(SETTINGS))
+        fields = json.loads(Store(folder).read_at_most(SETTINGS, _MAX_SETTINGS))
     except (ValueError, RecursionError) as error:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:

@@ -24,6 +24,7 @@ _JSON_CHUNK = 0x4E4F534A
 _COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_FLOAT = 5126
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _POSITION_BYTES = 12
 # Bytes used several times are legal, a thousand copies of a file are not. Small files may repeat more.
@@ -139,9 +140,13 @@ def _primitives(header: dict[str, Any], mesh: dict[str, Any], where: str) -> Ite
         attributes = raw.get("attributes")
         if mode in (_TRIANGLES, _STRIP, _FAN) and isinstance(attributes, dict) and "POSITION" in attributes:
             position = _index(attributes["POSITION"], accessors, "a primitive's POSITION", where)
+            if accessors[position]["type"] != "VEC3":
+                raise unreadable("positions are not three numbers each", where, found=f"accessor {position}")
             indices = raw.get("indices")
             if indices is not None:
                 indices = _index(indices, accessors, "a primitive's indices", where)
+                if accessors[indices]["type"] != "SCALAR" or accessors[indices]["componentType"] == _FLOAT:
+                    raise unreadable("indices are not whole numbers", where, found=f"accessor {indices}")
             yield _Primitive(position, indices, mode)
 
 

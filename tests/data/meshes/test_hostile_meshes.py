@@ -212,6 +212,10 @@ def test_ten_thousand_chained_nodes_with_a_mesh_each(tmp_path, tetra):
     lambda h: h.update(scene=True),
     lambda h: h["meshes"][0].update(primitives={}),
     lambda h: h["accessors"][0].update(byteOffset=-4),
+    lambda h: h["accessors"][0].update(type="SCALAR"),  # found by fuzzing
+    lambda h: h["accessors"][0].update(type="VEC4", count=3),
+    lambda h: h["accessors"][1].update(type="VEC3", count=4),
+    lambda h: h["accessors"][1].update(componentType=5126, count=6),
     lambda h: h["bufferViews"][0].update(byteLength=10**9, byteOffset=10**9),
 ])
 def test_a_glb_whose_parts_do_not_fit(tmp_path, tetra, change):
