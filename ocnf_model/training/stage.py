@@ -110,6 +110,7 @@ class Trainer:
         state, n_batches = self._state, len(self._job.training)
         self._job.training.set_epoch(state.epoch)
         self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
+        self._job.network.eval()  # the levels before: their normalisation stays as it was trained
         self._level.train()
         met: list[tuple[Batch, Tensor]] = []
         for batch in loader:
@@ -159,6 +160,7 @@ class Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = self._stage.rate(self._state.steps, self._n_steps)
         self._optimiser.step()
+        self._job.world.average(self._level.buffers())
         self._optimiser.zero_grad()
         self._state.steps += 1
         first = [not again for batch, _ in met for again in batch.repeat]
