@@ -22,6 +22,7 @@ from typing import Any
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.fingerprint import fingerprint
+from ocnf_data.generation.procedural import procedural_name
 from ocnf_data.generation.records import EXCLUDED, Failure, Item, ShardPlan
 from ocnf_data.manifest import SPLITS, Entry, Manifest
 from ocnf_data.shards.tarformat import MAX_KEY, MAX_NAME, input_member, target_member
@@ -148,7 +149,9 @@ def _readable(entry: Entry) -> str:
 
 
 def _source(entry: Entry) -> str:
-    return entry.path if entry.path is not None else f"shapes:{entry.category}:{entry.split}:{entry.index}"
+    if entry.path is not None:
+        return entry.path
+    return procedural_name(entry.category, entry.split, entry.index or 0)
 
 
 def _key_limit(manifest: Manifest) -> int:

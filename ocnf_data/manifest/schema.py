@@ -39,8 +39,10 @@ from ocnf_data.manifest.entries import no_root
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
 from ocnf_data.manifest.modelnet import ModelNetSource
+from ocnf_data.manifest.scenes import ScenesSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.views.rigs import intrinsics, rig_from_name, view_subset
+from ocnf_data.views.trajectories import path_from_name
 
 SCHEMA = 1
 _IDENTIFIER = re.compile(r"[A-Za-z0-9_]+")
@@ -70,7 +72,12 @@ class Normalise(Strict):
 
 
 class Camera(Strict):
-    """The virtual cameras: `rig` names the directions, the rest is one pinhole for all of them (pixels)."""
+    """The virtual cameras: `rig` names them, the rest is one pinhole for all of them (pixels).
+
+    Rigs of directions look at the origin from `distance`. `around<n>` and `inside<n>` are hand-held paths,
+    another for each item: around the origin at about `distance`, or within the mesh's box
+    (`views.trajectories`).
+    """
 
     rig: str = "published80"
     width: Annotated[Int, Field(ge=1, le=8192)] = 640
@@ -86,7 +93,8 @@ class Camera(Strict):
     @classmethod
     def _known_rig(cls, name: str) -> str:
         try:
-            rig_from_name(name)
+            if path_from_name(name) is None:
+                rig_from_name(name)
         except OcnfError as error:
             raise refused(error.what, expected=error.expected) from error
         return name
@@ -94,7 +102,12 @@ class Camera(Strict):
     @property
     def n_views(self) -> int:
         """Number of views in the rig; the ground truth is fused from all of them."""
-        return len(rig_from_name(self.rig))
+        return self.path[1] if self.path else len(rig_from_name(self.rig))
+
+    @property
+    def path(self) -> tuple[str, int] | None:
+        """(`around` or `inside`, number of views) of a hand-held path; None for a rig of directions."""
+        return path_from_name(self.rig)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -188,7 +201,8 @@ class Manifest(Strict):
     schema_version: Annotated[int, Field(alias="schema"), BeforeValidator(_known_schema)] = SCHEMA
     name: str
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
-    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource, Field(discriminator="kind")]
+    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | ScenesSource,
+                      Field(discriminator="kind")]
     normalise: Normalise = Normalise()
     camera: Camera = Camera()
     renderer: Literal["raster", "pyrender"] = "raster"
@@ -236,7 +250,7 @@ class Manifest(Strict):
             if variant.views > n:
                 raise refused(f"the rig {self.camera.rig} has fewer views", at=f"inputs[{i}].views",
                               found=variant.views, expected=f"1 to {n}")
-        if self.camera.distance <= self.normalise.radius:
+        if self.camera.path is None and self.camera.distance <= self.normalise.radius:
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
                           expected=f"more than {self.normalise.radius:.4g} m")
@@ -278,7 +292,7 @@ class Manifest(Strict):
         Raises:
             OcnfError: neither is given.
         """
-        if isinstance(self.source, ShapesSource):
+        if isinstance(self.source, ShapesSource | ScenesSource):
             return None
         if override is not None:
             return Path(override).expanduser().absolute()
