@@ -12,9 +12,11 @@ from ocnf_data.version import __version__
 
 _HOME = {
     "GridOctree": "octree",
+    "MixtureDataset": "loading.mixture",
     "OcnfError": "errors",
     "Report": "generation",
     "ShardDataset": "loading.dataset",
+    "SynthesisDataset": "synthesis.dataset",
     "Views": "views.cameras",
     "fuse_histogram": "fusion",
     "fuse_occupancy": "fusion",
@@ -27,9 +29,11 @@ _HOME = {
 
 __all__ = [
     "GridOctree",
+    "MixtureDataset",
     "OcnfError",
     "Report",
     "ShardDataset",
+    "SynthesisDataset",
     "Views",
     "__version__",
     "fuse_histogram",
@@ -46,9 +50,11 @@ if TYPE_CHECKING:
     from ocnf_data.fusion import fuse_histogram, fuse_occupancy, fuse_tdf_occupancy, fuse_tsdf
     from ocnf_data.generation import Report, generate
     from ocnf_data.loading.dataset import ShardDataset
+    from ocnf_data.loading.mixture import MixtureDataset
     from ocnf_data.manifest import load_manifest
     from ocnf_data.octree import GridOctree
     from ocnf_data.render import render_depth
+    from ocnf_data.synthesis.dataset import SynthesisDataset
     from ocnf_data.views.cameras import Views
 
 

@@ -13,3 +13,8 @@ U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]
 U64 = npt.NDArray[np.uint64]
+
+TreeArray = U64
+"""Trees, (..., 2): bits 0 to 63 and 64 to 72 of each (see `ocnf_data.octree.bits`)."""
+Prefix = I64
+"""(T + 1,): the number of leaves before each of T trees, and of all."""

@@ -1,4 +1,4 @@
-"""`ocnf-data`: generate, verify, look at and mend data sets.
+"""`ocnf-data`: generate, verify, inspect and repair data sets.
 
 A command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -6,7 +6,6 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-import signal
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,14 +13,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ocnf_data.terminal import print_error, run_app
+from ocnf_data.terminal import print_error, run_app, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
-                  help="Grid-octree training data from meshes: generate, verify, look at, mend.")
+                  help="Grid-octree training data from meshes: generate, verify, inspect and repair.")
 _out = Console(emoji=False)  # `shapes:airplane:train:1` is a name
 _err = Console(stderr=True, emoji=False)
 _debug = False
@@ -64,10 +63,13 @@ def _options(debug: Annotated[bool, typer.Option(
     _debug = debug
 
 
-@app.command()
-def generate(
-    manifest: Annotated[Path, typer.Argument(metavar="MANIFEST", help="What to make: a YAML file.")],
-    out: Annotated[str, typer.Option(metavar="DIR", help="Where to: a folder, or an fsspec URL.")],
+@app.command("generate")
+@stoppable(_err, "what is finished is kept, and the same command goes on")
+def generate_command(
+    manifest: Annotated[Path, typer.Argument(
+        metavar="MANIFEST", help="The manifest: a YAML file that defines the data set.")],
+    out: Annotated[str, typer.Option(
+        metavar="DIR", help="Where the data set goes: a folder, or an fsspec URL.")],
     jobs: Jobs,
     meshes: Meshes = None,
     backend: Annotated[Backend, typer.Option(
@@ -81,19 +83,13 @@ def generate(
 ) -> None:
     """Make the data set of a manifest.
 
-    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was, and the result is
+    The run may be stopped at any time, even by a power cut: the same command resumes it, and the result is
     the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
     when more of them failed than the manifest's limits.failure_threshold.
     """
-    from ocnf_data.generation import Interrupted
-    from ocnf_data.generation import generate as run
+    from ocnf_data.generation import generate
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems' way to say Ctrl-C
-    try:
-        report = run(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
-    except Interrupted as stop:
-        _err.print(f"[yellow]{stop}[/]", highlight=False)
-        raise typer.Exit(130) from None
+    report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     _out.print(report.table())
     if report.failures or report.exclusions:
         _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False)
@@ -103,74 +99,88 @@ def generate(
         raise typer.Exit(1)
 
 
-@app.command()
-def verify(folder: Folder, jobs: Jobs) -> None:
+@app.command("verify")
+@stoppable(_err, "nothing was changed, and the same command begins anew")
+def verify_command(folder: Folder, jobs: Jobs) -> None:
     """Check every byte, count and octree of a data set.
 
     Names the shard, sample, member and offset of whatever is wrong; the exit status is then 1.
     """
-    from ocnf_data.verify.report import print_verify
-    from ocnf_data.verify.verify import verify as check
+    from ocnf_data.verify.problems import print_verify
+    from ocnf_data.verify.verify import verify
 
     with _Bar("verifying") as progress:
-        report = check(folder, jobs, progress)
+        report = verify(folder, jobs, progress)
     raise typer.Exit(print_verify(report, _out))
 
 
-@app.command()
-def info(folder: Folder) -> None:
+@app.command("info")
+@stoppable(_err, "nothing was changed")
+def dataset_info_command(folder: Folder) -> None:
     """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
-    from ocnf_data.verify.info import describe, print_info
+    from ocnf_data.verify.summary import describe, print_summary
 
-    print_info(describe(folder), _out)
+    print_summary(describe(folder), _out)
 
 
-@app.command()
-def repair(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
+@app.command("repair")
+@stoppable(_err, "what was set aside is in {folder}/quarantine, and the same command goes on")
+def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
-    A shard that comes out different from what dataset.json vouches for is an error. Nothing is deleted.
+    It is an error if a shard comes out different from what dataset.json lists. Nothing is deleted.
     """
     from ocnf_data.files.storage import Store
-    from ocnf_data.generation import generate as run
+    from ocnf_data.generation import generate
     from ocnf_data.generation.plan import make_plan
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import find_damaged, quarantine, restore_index
+    from ocnf_data.verify.repair import damaged_shards, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.verify import verify
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
-        damaged = find_damaged(folder, jobs, progress)
-    if not damaged:
+        report = verify(folder, jobs, progress)
+    if not (damaged := damaged_shards(report)):
         _out.print("[green]no shard is damaged[/]")
     lost = []
     for shard in damaged:
         _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
         if restore_index(folder, shard.split, shard.shard):
-            _out.print("  the tar is whole, its index was written anew", highlight=False)
+            _out.print("  the tar is whole, its index was written again", highlight=False)
         else:
             lost.append(shard)
-    if not lost:
-        return
-    # Whatever stands in the way of making them again is said before anything is set aside.
-    adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
-    for shard in lost:
-        for name in quarantine(folder, shard.path):
-            _out.print(f"set aside as {name}", highlight=False)
-    _out.print(run(manifest, folder, meshes, jobs).table())
+    if lost:
+        # Whatever stands in the way of making them again is said before anything is set aside.
+        adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
+        for shard in lost:
+            for name in quarantine(folder, shard.path):
+                _out.print(f"set aside as {name}", highlight=False)
+        _out.print(generate(manifest, folder, meshes, jobs).table())
+    else:
+        for name in restore_catalogues(folder):
+            _out.print(f"{name} was written anew from the indices", highlight=False)
+    if not report.ok:
+        with _Bar("verifying") as progress:
+            left = verify(folder, jobs, progress).problems
+        for problem in left:
+            print_error(f"cannot be repaired: {problem}", _err)
+        raise typer.Exit(1 if left else 0)
 
 
-@app.command()
-def doctor() -> None:
-    """Say what works on this machine, try each renderer on a known shape, and tell how to mend the rest."""
+@app.command("doctor")
+@stoppable(_err, "nothing was changed")
+def doctor_command() -> None:
+    """Check what works on this machine, try each renderer on a known shape, and say how to fix the rest."""
     from ocnf_data.doctor import run_doctor
 
     raise typer.Exit(run_doctor(_out))
 
 
-@app.command()
-def watertight(
+@app.command("watertight")
+@stoppable(_err, "every mesh that is written is whole, and the same command makes all of them anew")
+def watertight_command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],
     jobs: Jobs,

@@ -1,4 +1,4 @@
-"""What works on this machine, tried and not guessed, and what mends what doesn't: `ocnf-data doctor`.
+"""What works on this machine, tried and not guessed, and how to fix what does not work: `ocnf-data doctor`.
 
 Each render backend draws a box whose depth has a formula, in a child process with a time limit, because
 OpenGL may crash or hang. The child is this module: `python -m ocnf_data.doctor BACKEND` prints JSON.
@@ -46,9 +46,9 @@ _LIBRARIES = {
     "cluster": ("distributed", "ray"),
 }
 
-# Box of the probe, metres: its half sides, and its faces with windings as mixed as real meshes have them.
-_HALF_SIDES = np.array([0.5, 0.3, 0.7])
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * _HALF_SIDES
+# Box of the probe, metres: its half sizes, and its faces with windings as mixed as real meshes have them.
+_HALF_SIZES = np.array([0.5, 0.3, 0.7])
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * _HALF_SIZES
 _FACES = np.array([
     (0, 1, 3), (0, 3, 2), (4, 5, 7), (4, 6, 7), (0, 1, 5), (0, 5, 4),
     (2, 3, 7), (2, 6, 7), (0, 2, 6), (0, 6, 4), (1, 3, 7), (1, 7, 5),
@@ -66,12 +66,12 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the report: what was looked at, how it went, what was found, and what mends it."""
+    """One line of the report: what was looked at, how it went, what was found, and how to fix it."""
 
     name: str
     status: Status
     found: str
-    mend: str | None = None
+    fix: str | None = None
 
 
 def run_doctor(console: Console) -> int:
@@ -84,11 +84,11 @@ def run_doctor(console: Console) -> int:
         colour = colours[check.status]
         table.add_row(f"[{colour}]{check.status}[/]", check.name, escape(check.found))
     console.print(table)
-    mendable = [check for check in checks if check.mend]
-    if mendable:
-        console.print("\nTo mend:")
-    for check in mendable:
-        console.print(f"  {check.name}:  [bold]{escape(check.mend or '')}[/]", soft_wrap=True)
+    fixable = [check for check in checks if check.fix]
+    if fixable:
+        console.print("\nTo fix:")
+    for check in fixable:
+        console.print(f"  {check.name}:  [bold]{escape(check.fix or '')}[/]", soft_wrap=True)
     return int(any(check.status is Status.FAILURE for check in checks))
 
 
@@ -117,8 +117,8 @@ def _libraries(extra: str, names: tuple[str, ...]) -> Check:
         return Check(f"libraries: {extra}", Status.OK, text)
     # Nobody needs both of the clusters, and most need none.
     status = {"core": Status.FAILURE, "cluster": Status.NOTE}.get(extra, Status.WARNING)
-    mend = None if extra == "cluster" else f"pip install '{'ocnf' if extra == 'core' else f'ocnf[{extra}]'}'"
-    return Check(f"libraries: {extra}", status, text.removeprefix("; "), mend)
+    fix = None if extra == "cluster" else f"pip install '{'ocnf' if extra == 'core' else f'ocnf[{extra}]'}'"
+    return Check(f"libraries: {extra}", status, text.removeprefix("; "), fix)
 
 
 def _machine() -> Check:
@@ -166,8 +166,8 @@ def _egl() -> Check:
         return Check(name, Status.WARNING, "libEGL is not installed", LIBRARIES)
     report = _try_in_child("pyrender", PYOPENGL_PLATFORM="egl")
     if "problem" in report:
-        mend = MISSING if "not installed" in report["problem"] else LIBRARIES
-        return Check(name, Status.WARNING, report["problem"], mend)
+        fix = MISSING if "not installed" in report["problem"] else LIBRARIES
+        return Check(name, Status.WARNING, report["problem"], fix)
     return _judged(name, report, Status.WARNING, "use the backend raster")
 
 
@@ -178,18 +178,18 @@ def _osmesa() -> Check:
     report = _try_in_child("pyrender", PYOPENGL_PLATFORM="osmesa")
     if "problem" in report:
         # pyrender pins a PyOpenGL that knows no OSMesa contexts, so no set of requirements can ask for both.
-        mend = MISSING if "not installed" in report["problem"] else OSMESA
-        return Check(name, Status.NOTE, report["problem"], mend)
+        fix = MISSING if "not installed" in report["problem"] else OSMESA
+        return Check(name, Status.NOTE, report["problem"], fix)
     return _judged(name, report, Status.WARNING, "use the backend raster")
 
 
-def _judged(name: str, report: dict[str, Any], if_wrong: Status, mend: str) -> Check:
+def _judged(name: str, report: dict[str, Any], if_wrong: Status, fix: str) -> Check:
     """A drawing that came back: is it right?"""
     p99, wrong, pixels = report["p99"], report["wrong"], report["pixels"]
     text = (f"99 % within {p99 * 1e3:.4f} mm, {wrong} of {pixels} pixels wrong, "
             f"{report['ms']:.1f} ms a view, {report['by']}")
     right = p99 < 1e-5 and wrong <= pixels / 2000
-    return Check(name, Status.OK, text) if right else Check(name, if_wrong, text, mend)
+    return Check(name, Status.OK, text) if right else Check(name, if_wrong, text, fix)
 
 
 def _try_in_child(backend: str, **environment: str) -> dict[str, Any]:
@@ -249,7 +249,7 @@ def _box_depth(
     for i in range(len(R)):
         origin, directions = -R[i].T @ T[i], rays @ R[i]
         with np.errstate(divide="ignore"):
-            planes = np.stack([(side * _HALF_SIDES - origin) / directions for side in (-1, 1)])
+            planes = np.stack([(sign * _HALF_SIZES - origin) / directions for sign in (-1, 1)])
         enter, leave = planes.min(axis=0).max(axis=-1), planes.max(axis=0).min(axis=-1)
         depth[i] = np.where(enter <= leave, enter, np.inf)
     return depth

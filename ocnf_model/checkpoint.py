@@ -24,13 +24,16 @@ from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
 from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, validate
 from ocnf_model.network import Carry, Join, OctNetFusion, Output
-from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
+from ocnf_model.tensorfile import TensorKind, read_header, read_kinds, read_tensors, write_tensors
 
 CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"
 _PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
 
-Positive = Annotated[Int, Field(ge=1)]
+MAX_CHANNELS: Final = 4096
+MAX_COUNT: Final = 2**53
+Channels = Annotated[Int, Field(ge=1, le=MAX_CHANNELS)]
+Counted = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 
 
 class Architecture(Strict):
@@ -40,15 +43,28 @@ class Architecture(Strict):
     join: Join
     carry: Carry
     output: Output
-    channels: tuple[Positive, Positive, Positive]
-    band: Real
+    channels: tuple[Channels, Channels, Channels]
+    band: Annotated[Real, Field(gt=0, le=1024)]
+    context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
+    residual: bool = False
+
+    @classmethod
+    def of(cls, source: object) -> Architecture:
+        """That of a network, or of settings: anything that has these fields as attributes."""
+        return cls(**{name: getattr(source, name) for name in cls.model_fields})
+
+    def kinds(self, level: int) -> dict[str, TensorKind]:
+        """The tensors of a level (from 0) by name; nothing is allocated for it."""
+        with torch.device("meta"):
+            own = self.network(min(level, 1) + 1).levels[-1].state_dict()  # all from the second on are alike
+        return {name: TensorKind.of(tensor) for name, tensor in own.items()}
 
     def network(self, levels: int, checkpointing: bool = False) -> OctNetFusion:
         """A new network, with random weights."""
         return OctNetFusion(levels=levels, checkpointing=checkpointing, **self.model_dump())
 
 
-class DataFacts(Strict):
+class TrainingData(Strict):
     """What was trained on: enough to refuse data whose values mean something else.
 
     Attributes:
@@ -56,7 +72,7 @@ class DataFacts(Strict):
         checksum: of its `dataset.json`.
         variant: name of the inputs.
         n_train, n_val: samples.
-        extent: side of the cube in metres.
+        extent: edge length of the cube in metres.
         truncation_voxels: tau, in voxels of any resolution.
     """
 
@@ -79,7 +95,7 @@ class Header(Strict):
     Attributes:
         schema_version: of the format.
         level: from 1.
-        resolution: voxels a side.
+        resolution: voxels along each axis.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
         metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
         settings: of the run, those that the weights depend on.
@@ -88,12 +104,12 @@ class Header(Strict):
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = CHECKPOINT_SCHEMA
-    level: Positive
-    resolution: Positive
+    level: Annotated[Int, Field(ge=1, le=16)]
+    resolution: Annotated[Int, Field(ge=1, le=2**16)]
     architecture: Architecture
-    data: DataFacts
-    epoch: Positive
-    steps: Positive
+    data: TrainingData
+    epoch: Counted
+    steps: Counted
     metrics: dict[str, Real]
     settings: dict[str, Any]
     built_on: Sha256 | None
@@ -120,30 +136,25 @@ class TrainedRun:
 
     @property
     def resolutions(self) -> list[int]:
-        """Voxels a side of each level."""
+        """Voxels along each axis of each level."""
         return [header.resolution for header in self.headers]
 
     @property
-    def data(self) -> DataFacts:
+    def data(self) -> TrainingData:
         """What the last level was trained on."""
         return self.headers[-1].data
 
-    def check_fits(self, where: str, *, encoding: str | None = None,
-                   truncation_voxels: float | None = None, resolutions: list[int] | None = None) -> None:
-        """Refuse data that mean something else than what the network was trained on.
+    def check_truncation(self, where: str, truncation_voxels: float) -> None:
+        """Refuse data whose distances are cut elsewhere than those the network was trained on.
 
         Raises:
-            OcnfError: code `misfit`, with the field.
+            OcnfError: code `misfit`.
         """
-        first = self.headers[0]
-        asked = (("encoding", encoding, str(first.architecture.encoding)),
-                 ("truncation_voxels", truncation_voxels, first.data.truncation_voxels),
-                 ("resolutions", resolutions, self.resolutions))
-        for field, found, expected in asked:
-            near = isinstance(found, float) and abs(found - float(str(expected))) < 1e-3
-            if found is not None and found != expected and not near:
-                raise OcnfError("the network was trained on something else", code="misfit", where=where,
-                                field=field, found=found, expected=f"{expected}, as in {self.path}")
+        expected = self.headers[0].data.truncation_voxels
+        if abs(truncation_voxels - expected) >= 1e-3:
+            raise OcnfError("the network was trained on something else", code="misfit", where=where,
+                            field="truncation_voxels", found=truncation_voxels,
+                            expected=f"{expected}, as in {self.path}")
 
 
 def save_checkpoint(folder: Path, header: Header, weights: Mapping[str, Tensor]) -> None:
@@ -159,24 +170,19 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
         OcnfError: it is missing or damaged, of another schema, or does not fit the network.
     """
     path = checkpoint_path(folder, level + 1)
-    weights, fields = read_tensors(path)
+    # What comes with the package is checked by what installs it.
+    weights, fields = read_tensors(path, note=folder != _PRETRAINED_FOLDER)
     header = parse_header(path, fields)
     if header.level != level + 1:
         raise _misfit(path, "level", header.level, level + 1)
-    for field, expected in (("encoding", network.encoding), ("join", network.join), ("carry", network.carry),
-                            ("output", network.output), ("channels", network.channels),
-                            ("band", network.band)):
-        found = getattr(header.architecture, field)
+    own_architecture = Architecture.of(network)
+    for field in Architecture.model_fields:
+        found, expected = getattr(header.architecture, field), getattr(own_architecture, field)
         if found != expected:
             raise _misfit(path, field, found, expected)
-    own = network.levels[level].state_dict()
-    if missing := sorted(own.keys() ^ weights.keys()):
-        raise _misfit(path, missing[0], "there" if missing[0] in weights else "nothing",
-                      f"the tensors {', '.join(own)}")
+    own = {name: TensorKind.of(tensor) for name, tensor in network.levels[level].state_dict().items()}
+    _check_kinds(path, {name: TensorKind.of(tensor) for name, tensor in weights.items()}, own)
     for name, tensor in weights.items():
-        if tensor.shape != own[name].shape or tensor.dtype != own[name].dtype:
-            raise _misfit(path, name, f"{tensor.dtype} {tuple(tensor.shape)}",
-                          f"{own[name].dtype} {tuple(own[name].shape)}")
         if not tensor.isfinite().all():
             raise OcnfError("weights that are not finite", code="damaged", where=path, field=name)
     network.levels[level].load_state_dict(weights)
@@ -202,6 +208,9 @@ def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
     levels = levels or there
     headers = [parse_header(file, read_header(file))
                for file in (checkpoint_path(folder, level) for level in range(1, levels + 1))]
+    for level, header in enumerate(headers):  # before anything is allocated
+        path = checkpoint_path(folder, level + 1)
+        _check_kinds(path, read_kinds(path), header.architecture.kinds(level))
     network = headers[0].architecture.network(levels)
     for level, header in enumerate(headers):
         load_level(folder, network, level)
@@ -273,8 +282,19 @@ def parse_header(path: Path, fields: Mapping[str, Any]) -> Header:
 
 
 def torch_version() -> str:
-    """Of PyTorch, for headers."""
+    """The version of PyTorch, as headers hold it."""
     return str(torch.__version__)
+
+
+def _check_kinds(path: Path, found: Mapping[str, TensorKind], expected: Mapping[str, TensorKind]) -> None:
+    """Refuse tensors of other names, dtypes or shapes than the network's."""
+    if missing := sorted(expected.keys() ^ found.keys()):
+        raise _misfit(path, missing[0], "there" if missing[0] in found else "nothing",
+                      f"the tensors {', '.join(expected)}")
+    for name, kind in found.items():
+        if kind != expected[name]:
+            raise _misfit(path, name, f"{kind.dtype} {kind.shape}",
+                          f"{expected[name].dtype} {expected[name].shape}")
 
 
 def _misfit(path: Path, field: str, found: object, expected: object) -> OcnfError:

@@ -1,4 +1,4 @@
-"""`ocnf-model`: train, evaluate, use and look at networks.
+"""`ocnf-model`: train, evaluate, use and inspect networks.
 
 A command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -6,7 +6,6 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -14,27 +13,23 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ocnf_data.terminal import run_app
+from ocnf_data.terminal import run_app, stoppable
+from ocnf_model.evaluation.methods import Method
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
-                  help="OctNetFusion: train it, evaluate it, fuse depth with it, look at it.")
+                  help="OctNetFusion: train, evaluate and inspect networks, and fuse depth with them.")
 _out = Console(emoji=False)
 _err = Console(stderr=True, emoji=False)
 _debug = False
 
 
-class Method(StrEnum):
-    """How depth is fused."""
-
-    OURS = "ours"
-    TVL1 = "tvl1"
-    VOLFUS = "volfus"
-
-
 Run = Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, or `pretrained`.")]
+Training = Annotated[str, typer.Argument(
+    metavar="DATA", help="A data set, a folder or an fsspec URL; or a manifest (.yaml), whose samples are "
+                         "made as they are needed.")]
 Data = Annotated[str, typer.Argument(metavar="DATA", help="A data set: a folder, or an fsspec URL.")]
-Device = Annotated[str, typer.Option(metavar="NAME", help="auto, cpu, cuda, cuda:1.")]
+Device = Annotated[str, typer.Option(metavar="NAME", help="The device to run on: auto, cpu, cuda, cuda:1.")]
 
 
 @app.callback()
@@ -44,126 +39,155 @@ def _options(debug: Annotated[bool, typer.Option(
     _debug = debug
 
 
-@app.command()
-def train(
-    data: Data,
+@app.command("train")
+@stoppable(_err, "the same command goes on in {out}")
+def train_command(
+    data: Training,
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
     levels: Annotated[int | None, typer.Option(min=1, help="Resolutions, coarse to fine. [3]")] = None,
     device: Device = "auto",
+    meshes: Annotated[Path | None, typer.Option(
+        metavar="ROOT", help="With a manifest: the folder that its mesh paths are relative to.")] = None,
+    val: Annotated[str | None, typer.Option(
+        metavar="DIR", help="Data set to validate with. [DATA's own; a manifest's is made in RUN/validation]",
+    )] = None,
     settings: Annotated[Path | None, typer.Option(
-        metavar="FILE", help="YAML or JSON with any of the settings; options go before it.")] = None,
+        metavar="FILE", help="A YAML or JSON file with any of the settings; options override it.")] = None,
     encoding: Annotated[str | None, typer.Option(
-        help="occupancy, tsdf, tdf_occupancy or histogram. [histogram]")] = None,
-    variant: Annotated[str | None, typer.Option(help="Name of the inputs in the manifest.")] = None,
+        help="Input encoding: occupancy, tsdf, tdf_occupancy or histogram. [histogram]")] = None,
+    variant: Annotated[str | None, typer.Option(
+        help="The input variant, by its name in the manifest.")] = None,
     epochs: Annotated[str | None, typer.Option(
-        metavar="N,...", help="For each level; the last one holds for all that follow. [50,25,25]")] = None,
+        metavar="N,...",
+        help="Epochs of each level; the last number holds for all later levels. A run can be continued with "
+             "more. [50,25,25]")] = None,
     batch_size: Annotated[str | None, typer.Option(
-        metavar="N,...", help="Samples a batch, for each level and process. [4,1,1]")] = None,
+        metavar="N,...", help="Samples per batch and process, level by level. [4,1,1]")] = None,
     accumulate: Annotated[str | None, typer.Option(
-        metavar="N,...", help="Batches a step, for each level. [1,4,4]")] = None,
+        metavar="N,...", help="Batches per optimiser step, level by level. [1,4,4]")] = None,
     learning_rate: Annotated[str | None, typer.Option(
-        metavar="X,...", help="Of Adam, for each level. [1e-4]")] = None,
+        metavar="X,...", help="Learning rate of Adam, level by level. [1e-4]")] = None,
     decay: Annotated[str | None, typer.Option(
         metavar="NAME,...",
-        help="Of the learning rate, for each level: none or cosine. [none]")] = None,
+        help="How the learning rate falls, level by level: none or cosine. [none]")] = None,
     channels: Annotated[str | None, typer.Option(
-        metavar="A,B,C", help="Of the three resolutions within a level. [16,32,64]")] = None,
-    join: Annotated[str | None, typer.Option(help="concat or add. [concat]")] = None,
-    carry: Annotated[str | None, typer.Option(help="features or reconstruction. [features]")] = None,
-    output: Annotated[str | None, typer.Option(help="tsdf or occupancy. [the data set's target]")] = None,
-    augment: Annotated[str | None, typer.Option(help="none, rotations, flips or all. [none]")] = None,
+        metavar="A,B,C", help="Channels at the three resolutions within a level. [16,32,64]")] = None,
+    join: Annotated[str | None, typer.Option(
+        help="How encoder features are joined to the decoder: concat or add. [concat]")] = None,
+    carry: Annotated[str | None, typer.Option(
+        help="What a level passes to the next: features or reconstruction. [features]")] = None,
+    output: Annotated[str | None, typer.Option(
+        help="What the network predicts: tsdf or occupancy. [the data set's target]")] = None,
+    augment: Annotated[str | None, typer.Option(
+        help="Random symmetries of the samples: none, rotations, flips or all. [none]")] = None,
     precision: Annotated[str | None, typer.Option(
-        help="float32, or bfloat16 for the activations. [float32]")] = None,
+        help="Arithmetic: float32, or bfloat16 for the activations. [float32]")] = None,
     checkpointing: Annotated[bool | None, typer.Option(
         "--checkpointing/--no-checkpointing", help="Compute activations again instead of keeping them.",
         show_default=False)] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of weights and order. [0]")] = None,
+    best_by: Annotated[str | None, typer.Option(
+        help="Measure that chooses the best checkpoint: mad, iou, f_score or mad_and_f_score. "
+             "[mad_and_f_score]")] = None,
+    seed: Annotated[int | None, typer.Option(
+        min=0, help="Seed of the first weights and the order of the samples. [0]")] = None,
     workers: Annotated[int | None, typer.Option(
-        min=0, help="Reading processes, for each training process. [1]")] = None,
+        min=0, help="Processes that read samples, per training process. [1]")] = None,
 ) -> None:
     """Train a network, stage by stage, coarse to fine; by default with the paper's schedule.
 
-    Stop it at any time, with Ctrl-C or a power cut: the same command goes on where it was. RUN gets the best
+    Training may be stopped at any time, even by a power cut: the same command resumes it. RUN gets the best
     checkpoint of every level, the curves as CSV and for TensorBoard, and the settings.
 
     `torchrun --nproc-per-node N -m ocnf_model.cli train ...` trains on N GPUs.
     """
     from ocnf_model.training.options import merge_options
-    from ocnf_model.training.run import train as run
+    from ocnf_model.training.run import train
 
     chosen = merge_options(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
-         "seed": seed, "workers": workers},
+         "best_by": best_by, "seed": seed, "workers": workers},
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)
-    try:
-        run(data, out, chosen, device=device, console=_err)
-    except KeyboardInterrupt:
-        _err.print(f"[yellow]stopped; the same command goes on in {escape(str(out))}[/]", highlight=False)
-        raise typer.Exit(130) from None
+    train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
     if os.environ.get("RANK", "0") == "0":
         _out.print(f"trained: {escape(str(out))}", highlight=False)
 
 
-@app.command()
-def info(run: Run) -> None:
+@app.command("info")
+@stoppable(_err, "nothing was changed")
+def run_info_command(run: Run) -> None:
     """Show a network's layers, shapes and parameters, and how it was trained."""
-    from ocnf_model.info import print_info
+    from ocnf_model.info import print_run
 
-    print_info(run, _out)
+    print_run(run, _out)
 
 
-@app.command()
-def evaluate(
+@app.command("evaluate")
+@stoppable(_err, "tables are written at the end only, and the same command begins anew")
+def evaluate_command(
     run: Run,
     data: Data,
-    split: Annotated[str, typer.Option(help="Of the data set.")] = "test",
+    split: Annotated[str, typer.Option(help="The split of the data set to evaluate on.")] = "test",
     out: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Where tables and figures go; RUN/evaluation/SPLIT if not given.")] = None,
     device: Device = "auto",
-    method: Annotated[list[Method] | None, typer.Option(help="May be repeated. [all]")] = None,
+    method: Annotated[list[Method] | None, typer.Option(
+        help="A method to compare; may be repeated. [all]")] = None,
     weights: Annotated[Path | None, typer.Option(
-        metavar="FILE", help="TV-L1's, chosen by cross-validation; RUN/tvl1.json if there is one.")] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="The first so many models only.")] = None,
-    figures: Annotated[int, typer.Option(min=0, help="Models to draw, each of another category.")] = 3,
+        metavar="FILE",
+        help="TV-L1's weights, as `choose-weight` writes them; RUN/tvl1.json if it exists.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Evaluate only the first N models.")] = None,
+    figures: Annotated[int, typer.Option(
+        min=0, help="Number of models to draw, each of another category.")] = 3,
     up: Annotated[str, typer.Option(help="The models' axis that points up in the figures: y or z.")] = "z",
+    meshes: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="The folder that the data set was made from: measure surfaces against its meshes "
+                            "instead of the finest ground truth.")] = None,
 ) -> None:
-    """Compare the network with plain and TV-L1 fusion: errors, overlap and time, as tables and a figure."""
+    """Compare the network with plain and TV-L1 fusion: error by region, surface, overlap, time; and a figure.
+
+    Chamfer distance, F-score at one voxel and normal consistency are of 30,000 samples of each surface; thin
+    parts have a recall of their own.
+    """
     from ocnf_model.evaluation.run import run_evaluate
 
     methods = [str(name) for name in method] if method else None
     run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
-                 limit=limit, n_figures=figures, up=up, console=_out)
+                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes)
 
 
-@app.command()
-def choose_weight(
+@app.command("choose-weight")
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
+def choose_weight_command(
     data: Data,
     out: Annotated[Path, typer.Option(
         metavar="FILE", help="Where the weights go; `evaluate` finds RUN/tvl1.json by itself.")],
-    split: Annotated[str, typer.Option(help="Of the data set; never the one reported on.")] = "val",
-    resolution: Annotated[list[int] | None, typer.Option(help="May be repeated. [all]")] = None,
+    split: Annotated[str, typer.Option(
+        help="The split to choose on; never the one that results are reported on.")] = "val",
+    resolution: Annotated[list[int] | None, typer.Option(
+        help="A resolution to choose for; may be repeated. [all]")] = None,
     models: Annotated[int | None, typer.Option(
-        min=1, help="How many. [20 up to 64³, 10 at 128³, 5 above]")] = None,
+        min=1, help="Number of models to use. [20 up to 64³, 10 at 128³, 5 above]")] = None,
     weights: Annotated[str | None, typer.Option(
         metavar="X,...", help="At least 6, ascending; more are added where the best is at an end. "
                               "[0.4,0.64,1,1.6,2.5,4,6.4]")] = None,
 ) -> None:
     """Choose TV-L1's weight by cross-validation: the least MAD, for each resolution and input variant."""
-    from ocnf_model.evaluation.weights import DEFAULT_WEIGHTS, run_choose_weight
-    from ocnf_model.training.options import parse_numbers
+    from ocnf_model.evaluation.weights import CANDIDATE_WEIGHTS, run_choose_weight
+    from ocnf_model.training.options import parse_list
 
-    grid = DEFAULT_WEIGHTS if weights is None else parse_numbers("weights", weights)
+    grid = CANDIDATE_WEIGHTS if weights is None else parse_list("weights", weights)
     run_choose_weight(data, out=out, resolutions=resolution, n_models=models, split=split, weights=grid,
                       console=_out)
     _out.print(f"The weights are in {escape(str(out))}", highlight=False, soft_wrap=True)
 
 
-@app.command()
-def fuse(
+@app.command("fuse")
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
+def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(
         metavar="SCAN", help="Depth with poses: `views.h5::KEY`, or a folder: 7-Scenes, TUM RGB-D, "
@@ -172,11 +196,12 @@ def fuse(
     box: Annotated[tuple[float, float, float, float, float, float] | None, typer.Option(
         metavar="X0 Y0 Z0 X1 Y1 Z1",
         help="Region in the scan's coordinates; the largest object if not given.")] = None,
-    method: Annotated[Method, typer.Option(help="What fuses.")] = Method.OURS,
+    method: Annotated[Method, typer.Option(help="The method that fuses.")] = Method.OURS,
     resolution: Annotated[int | None, typer.Option(
         help="Voxels along the region; the finest that RUN has if not given.")] = None,
     device: Device = "auto",
-    weight: Annotated[float | None, typer.Option(help="Of TV-L1.")] = None,
+    weight: Annotated[float | None, typer.Option(
+        help="Weight of TV-L1's data term; small is smooth.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Take every n-th frame only.")] = 1,
     frames: Annotated[str | None, typer.Option(
         metavar="N|A:B:C", help="How many frames, evenly spread, or a range of them. [all]")] = None,
@@ -198,12 +223,12 @@ def fuse(
 ) -> None:
     """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
     from ocnf_model.scan.fuse import run_fuse
-    from ocnf_model.training.options import parse_numbers
+    from ocnf_model.training.options import parse_list
 
     reading = {
         "frames": frames, "format": format_, "depth_scale": depth_scale, "poses": poses,
-        "pose_scale": pose_scale, "crop": parse_numbers("crop", crop),
-        "intrinsics": None if intrinsics is None else parse_numbers("intrinsics", intrinsics)}
+        "pose_scale": pose_scale, "crop": parse_list("crop", crop),
+        "intrinsics": None if intrinsics is None else parse_list("intrinsics", intrinsics)}
     run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device,
              weight=weight, every=every, keep_unseen=keep_unseen, console=_out, reading=reading)
 

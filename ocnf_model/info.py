@@ -13,10 +13,11 @@ from ocnf_model.network import OctNetFusion
 from ocnf_model.ops import OctreeConv3d
 
 # Blocks that work below their level's resolution, and by how much.
-_HALVINGS = {"down2": 1, "bottom": 2, "up2": 1}
+_HALVINGS = {"down2": 1, "bottom": 2, "up2": 1, "context.down1": 3, "context.down2": 4,
+             "context.up": 3, "context.out": 3}
 
 
-def print_info(run: str | Path, console: Console) -> None:
+def print_run(run: str | Path, console: Console) -> None:
     """Print layers, shapes and parameters of a run's network, and its training.
 
     Raises:
@@ -33,7 +34,7 @@ def print_info(run: str | Path, console: Console) -> None:
     trained = open_run(folder)
     console.print(layer_table(trained.network, trained.resolutions))
     console.print(training_table(trained))
-    for line in _facts(trained.headers[-1]):
+    for line in _describe_training(trained.headers[-1]):
         console.print(line, highlight=False, markup=False)
 
 
@@ -46,22 +47,24 @@ def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
         table.add_column(title, footer, justify="left" if title == "layer" else "right")
     level_before = "0"
     for name, module in network.named_modules():
-        if not isinstance(module, OctreeConv3d | nn.Linear):
+        if not isinstance(module, OctreeConv3d | nn.Conv3d | nn.Linear):
             continue
-        _, level, block = name.split(".")[:3]
+        _, level, block = name.split(".", 2)
         if level != level_before:
             table.add_section()
             level_before = level
         out, into = module.weight.shape[:2]
-        side = resolutions[int(level)] >> _HALVINGS.get(block, 0)
-        table.add_row(name, f"{side}³", f"{into} -> {out}", "x".join(map(str, module.weight.shape)),
+        halvings = next((n for start, n in _HALVINGS.items() if block.startswith(start)), 0)
+        resolution = resolutions[int(level)] >> halvings
+        table.add_row(name, f"{resolution}³", f"{into} -> {out}", "x".join(map(str, module.weight.shape)),
                       f"{sum(parameter.numel() for parameter in module.parameters()):,}")
     return table
 
 
 def training_table(trained: TrainedRun) -> Table:
     """A row a level: its best epoch and what was measured then."""
-    table = Table(title="best checkpoints, by validation MAD")
+    measure = trained.headers[-1].settings.get("best_by", "mad")
+    table = Table(title=f"best checkpoints, by {measure} of the validation samples")
     columns = ["level", "resolution", "epoch", "steps", *trained.headers[0].metrics]
     for title in columns:
         table.add_column(title, justify="right")
@@ -71,7 +74,7 @@ def training_table(trained: TrainedRun) -> Table:
     return table
 
 
-def _facts(header: Header) -> list[str]:
+def _describe_training(header: Header) -> list[str]:
     data, architecture = header.data, header.architecture
     variant = "" if data.variant is None else f", inputs {data.variant}"
     return [

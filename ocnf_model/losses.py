@@ -59,8 +59,8 @@ class Pair:
 
     def sum_over_voxels(self, costs: Tensor) -> Tensor:
         """(L, C) values of cells to their sums over the voxels of each grid, (B, C)."""
-        weighted = costs * self.structure.volumes(costs.device).to(costs.dtype)
-        return torch.stack([part.sum(0) for part in weighted.split(self.structure.leaves_per_grid)])
+        weighted = costs * self.structure.volumes(costs.device).to(costs.dtype)  # (L, C) * (L, 1)
+        return torch.stack([part.sum(0) for part in weighted.split(self.structure.leaves_per_grid)])  # (B, C)
 
 
 def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
@@ -81,5 +81,5 @@ def _reduce(pair: Pair, costs: Tensor, reduction: str) -> Tensor:
         raise OcnfError("no such reduction", field="reduction", found=reduction,
                         expected=" or ".join(Reduction))
     depth, height, width = pair.structure.shape
-    means = pair.sum_over_voxels(costs).mean(1) / (depth * height * width)
+    means = pair.sum_over_voxels(costs).mean(1) / (depth * height * width)  # (B, C) -> (B,)
     return means.mean() if reduction == Reduction.MEAN else means

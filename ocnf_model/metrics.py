@@ -58,9 +58,9 @@ class Overlap:
 
 @torch.no_grad()
 def tsdf_overlap(prediction: OctreeBatch, truth: OctreeBatch) -> Overlap:
-    """Overlap of the voxels whose TSDF is 0 or less."""
+    """Overlap of the occupied voxels: those whose TSDF is below 0, as in the occupancy target."""
     pair = Pair.of(prediction, truth)
-    return _overlap(pair, pair.prediction <= 0, pair.target <= 0)
+    return _overlap(pair, pair.prediction < 0, pair.target < 0)
 
 
 @torch.no_grad()

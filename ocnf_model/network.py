@@ -15,9 +15,9 @@ from torch.utils.checkpoint import checkpoint
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
-from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
+from ocnf_model.ops import DenseContext, OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
 
-Choice = TypeVar("Choice", bound=StrEnum)
+_Choice = TypeVar("_Choice", bound=StrEnum)
 
 
 class Join(StrEnum):
@@ -90,16 +90,20 @@ class Level(nn.Module):
         channels: of the three resolutions.
         join: see `Join`.
         output: see `Output`.
+        context: width of the `DenseContext` before the bottom's convolutions; 0 for none (the paper).
+        residual: whether a convolution that keeps the number of channels adds its result to its input.
     """
 
-    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output) -> None:
+    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
+                 context: int = 0, residual: bool = False) -> None:
         super().__init__()
-        self.join, self.output, self.checkpointing = join, output, False
+        self.join, self.output, self.residual, self.checkpointing = join, output, residual, False
         wide, middle, deep = channels
         joined = 2 if join is Join.CONCAT else 1
         self.first = _convs(in_channels, wide)
         self.down1 = _convs(wide, middle)
         self.down2 = _convs(middle, middle, deep)
+        self.context = DenseContext(deep, context) if context else None
         self.bottom = _convs(deep, deep, deep, deep)
         self.up2 = _convs(joined * deep, middle, middle)
         self.up1 = _convs(joined * middle, wide, wide)
@@ -115,7 +119,10 @@ class Level(nn.Module):
         """(L, c_in) features to those of the decoder and of the head."""
         fine = self._run(self.down1, self._run(self.first, x))
         middle = self._run(self.down2, grid_pool(fine))
-        deep = self._run(self.bottom, grid_pool(middle))
+        deep = grid_pool(middle)
+        if self.context is not None:
+            deep = self.context(deep)
+        deep = self._run(self.bottom, deep)
         middle = self._run(self.up2, self._joined(deep, middle))
         features = self._run(self.up1, self._joined(middle, fine))
         if isinstance(self.head, nn.Linear):
@@ -130,10 +137,10 @@ class Level(nn.Module):
 
     def _run(self, convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
         if self.checkpointing and torch.is_grad_enabled():
-            result: OctreeBatch = checkpoint(_conv_relu, convs, x, use_reentrant=False,
+            result: OctreeBatch = checkpoint(_conv_relu, convs, x, self.residual, use_reentrant=False,
                                              preserve_rng_state=False)
             return result
-        return _conv_relu(convs, x)
+        return _conv_relu(convs, x, self.residual)
 
 
 class OctNetFusion(nn.Module):
@@ -142,13 +149,14 @@ class OctNetFusion(nn.Module):
     Level l takes the encoding at its resolution and, from the second on, what the level before carries up:
     split near its reconstructed surface and put side by side with the encoding. Input channels of a level,
     with the histogram's 10 and channels[0] = 16: 10 for the first; 26 for later ones carrying features, 11
-    carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `summary()`; with the defaults
-    606,113 for the first and 613,025 for each later level, 1,832,163 in all.
+    carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `ocnf-model info RUN`; with the
+    defaults 606,113 for the first and 613,025 for each later level, 1,832,163 in all.
 
-    >>> network = OctNetFusion()
-    >>> reconstructions = network([x64, x128, x256])        # OctreeBatch of 10 channels each
-    >>> reconstructions[2].features.shape                   # TSDF / tau on its own structure
-    torch.Size([1041277, 1])
+    >>> inputs = [OctreeBatch.full(torch.zeros(2, 10, side, side, side)) for side in (32, 64)]
+    >>> network = OctNetFusion(levels=2, channels=(2, 4, 8))
+    >>> coarse, fine = network(inputs)                       # TSDF / tau, each on its own structure
+    >>> coarse.to_dense().shape, fine.to_dense().shape
+    (torch.Size([2, 1, 32, 32, 32]), torch.Size([2, 1, 64, 64, 64]))
 
     Args:
         encoding: of the inputs, an `Encoding`.
@@ -158,6 +166,10 @@ class OctNetFusion(nn.Module):
         output: `tsdf` or `occupancy`.
         channels: of the three resolutions within a level; smaller ones make a smaller network.
         band: of `split_surface`, in fine voxels.
+        context: width of the first level's `DenseContext`, which looks at the whole volume; 0 for none (the
+            paper). Later levels get what it finds with the features that are carried up.
+        residual: whether convolutions that keep the number of channels add to their input; the paper's do
+            not.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
 
     Raises:
@@ -167,7 +179,7 @@ class OctNetFusion(nn.Module):
     def __init__(
         self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
-        band: float = 1, checkpointing: bool = False,
+        band: float = 1, context: int = 0, residual: bool = False, checkpointing: bool = False,
     ) -> None:
         super().__init__()
         self.encoding = _choice(Encoding, "encoding", encoding)
@@ -180,10 +192,11 @@ class OctNetFusion(nn.Module):
             raise OcnfError("not channels", where="OctNetFusion", field="channels", found=channels,
                             expected="three positive numbers")
         self.channels = channels[0], channels[1], channels[2]
-        self.band = band
+        self.band, self.context, self.residual = band, context, residual
         carried = self.channels[0] if self.carry is Carry.FEATURES else 1
         self.levels = nn.ModuleList(
-            Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output)
+            Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output,
+                  0 if level else context, residual)
             for level in range(levels)
         )
         self.set_checkpointing(checkpointing)
@@ -192,7 +205,7 @@ class OctNetFusion(nn.Module):
         """The reconstruction of each level, TSDF / tau or probability of occupancy, on its own structure.
 
         Args:
-            inputs: encodings, coarse to fine, each twice the resolution of the one before, sides multiples
+            inputs: encodings, coarse to fine, each twice the resolution of the one before, shapes multiples
                 of 32 voxels; one for each level, or for the first few of them.
 
         Raises:
@@ -232,7 +245,8 @@ class OctNetFusion(nn.Module):
             raise OcnfError("no level before this one", where="OctNetFusion", field="level", found=level,
                             expected=f"1 to {len(self.levels) - 1}")
         before, own = self.levels[level - 1].state_dict(), self.levels[level].state_dict()
-        fitting = {name: value for name, value in before.items() if value.shape == own[name].shape}
+        fitting = {name: value for name, value in before.items()
+                   if name in own and value.shape == own[name].shape}
         self.levels[level].load_state_dict(fitting, strict=False)
         return [name for name in own if name not in fitting]
 
@@ -241,18 +255,6 @@ class OctNetFusion(nn.Module):
         for module in self.modules():
             if isinstance(module, Level):
                 module.checkpointing = on
-
-    def summary(self) -> str:
-        """A line a layer: where, kernel, channels, parameters; then the sum."""
-        lines = [f"{'layer':<22} {'kernel':<7} {'channels':>11} {'parameters':>12}"]
-        for name, module in self.named_modules():
-            if isinstance(module, OctreeConv3d | nn.Linear):
-                kernel, (out, into) = "3x3x3", module.weight.shape[:2]
-                if isinstance(module, nn.Linear):
-                    kernel = "1x1x1"
-                lines.append(f"{name:<22} {kernel:<7} {f'{into} -> {out}':>11} {_n_parameters(module):>12,}")
-        lines.append(f"{'all':<22} {'':<7} {'':>11} {_n_parameters(self):>12,}")
-        return "\n".join(lines)
 
     def _check(self, inputs: Sequence[OctreeBatch]) -> None:
         if not 1 <= len(inputs) <= len(self.levels):
@@ -263,13 +265,13 @@ class OctNetFusion(nn.Module):
             if encoded.channels != self.encoding.channels:
                 raise OcnfError("wrong channels", where="OctNetFusion", field=field, found=encoded.channels,
                                 expected=f"{self.encoding.channels} for {self.encoding}")
-            size = tuple(side << level for side in inputs[0].shape)
+            size = tuple(n << level for n in inputs[0].shape)
             if encoded.shape != size or encoded.batch_size != inputs[0].batch_size:
                 raise OcnfError("sizes do not fit", where="OctNetFusion", field=field,
                                 found=encoded.structure.describe(),
                                 expected=f"{inputs[0].batch_size} of {'x'.join(map(str, size))}")
-        if any(side % 32 for side in inputs[0].shape):
-            raise OcnfError("two poolings need sides that are multiples of 32", where="OctNetFusion",
+        if any(n % 32 for n in inputs[0].shape):
+            raise OcnfError("two poolings need shapes that are multiples of 32", where="OctNetFusion",
                             field="inputs[0]", found=inputs[0].structure.describe())
 
 
@@ -277,18 +279,17 @@ def _convs(*channels: int) -> nn.ModuleList:
     return nn.ModuleList(OctreeConv3d(a, b) for a, b in pairwise(channels))
 
 
-def _conv_relu(convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
+def _conv_relu(convs: nn.ModuleList, x: OctreeBatch, residual: bool) -> OctreeBatch:
     for conv in convs:
-        x = conv(x)
-        x = x.with_features(x.features.relu_())  # in place: a convolution does not need its result again
+        y = conv(x)
+        features = y.features.relu_()  # in place: a convolution does not need its result again
+        if residual and y.channels == x.channels:
+            features = features + x.features
+        x = y.with_features(features)
     return x
 
 
-def _n_parameters(module: nn.Module) -> int:
-    return sum(parameter.numel() for parameter in module.parameters())
-
-
-def _choice(kind: type[Choice], field: str, value: str) -> Choice:
+def _choice(kind: type[_Choice], field: str, value: str) -> _Choice:
     if value not in tuple(kind):
         raise OcnfError("no such setting", where="OctNetFusion", field=field, found=value,
                         expected=" or ".join(kind))

@@ -1,4 +1,4 @@
-"""The README's Python runs as printed."""
+"""The Python that the README and the pages print runs as printed."""
 
 import re
 import subprocess
@@ -6,12 +6,19 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest
+from ocnf_model.training.settings import read_settings
 
-README = Path(__file__).parent.parent / "README.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+ROOT = Path(__file__).parent.parent
+
+
+def blocks(page, word, language="python"):
+    """The page's blocks of code in which a word occurs."""
+    found = re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+    return [block for block in found if word in block]
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +41,40 @@ def run(code, folder):
     return done.stdout.split()
 
 
-def test_the_loader_goes_on_where_its_state_says(folder):
-    loading = next(block for block in BLOCKS if "ShardDataset" in block)
+@pytest.mark.parametrize("page", ["README.md", "docs/loading.md"])
+def test_the_loader_goes_on_where_its_state_says(folder, page):
+    [loading] = blocks(page, "ShardDataset")
     shapes = "print(*octrees.trees.shape, octrees.to_float().shape[1], len(truth.grids()), state['step'])"
     assert run(loading + shapes, folder) == ["4", "8", "8", "8", "2", "10", "4", "0"]
 
 
 def test_webdataset_reads_the_shards(folder):
-    reading = next(block for block in BLOCKS if "webdataset" in block)
+    [reading] = blocks("docs/loading.md", "webdataset")
     look = "for sample in samples: print(sample['v2-histogram-64.oct']['data'].shape[1])"
     assert run(reading + look, folder) == ["10"] * 3
+
+
+def test_a_scan_as_the_page_lays_it_out_is_read_and_fused(tmp_path):
+    """The wall lies at z = 0: free in front of it, hidden behind, and the surface where it should be."""
+    [writing] = blocks("docs/scans.md", "read_scan")
+    look = ("line = octree.to_dense()[0, :, 32, 32]\n"
+            "print(len(views), *(f'{value:.3f}' for value in line[[8, 31, 32, 40]]))")
+    assert run(writing + look, tmp_path) == ["2", "1.000", "0.156", "-0.156", "-1.000"]
+
+
+def test_a_mesh_becomes_octrees(tmp_path):
+    """The cube's face x = 1 lies between the centres of voxels 52 (0.961 m) and 53 (1.008 m)."""
+    [code] = blocks("docs/api/index.md", "render_depth")
+    look = "line = truth.to_dense()[0, 32, 32]; print(line[32], line[52] < 0 < line[53] < 0.5, line[63])"
+    assert run(code + look, tmp_path)[-3:] == ["-1.0", "True", "1.0"]
+
+
+def test_the_smallest_manifest_is_one():
+    [text] = blocks("docs/manifest.md", "name:", "yaml")
+    assert Manifest.from_dict(yaml.safe_load(text)).source.kind == "folder"
+
+
+def test_the_settings_that_the_page_prints_are_settings():
+    [text] = blocks("docs/training.md", "stages:", "yaml")
+    settings = read_settings(yaml.safe_load(text), "the page")
+    assert settings.stage(0).batch_size == 4 and settings.stage(5).learning_rate == 5e-4

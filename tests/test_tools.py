@@ -14,8 +14,8 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards import browse
 from ocnf_data.shards.browse import StoredSample, find_sample, stored_samples
-from ocnf_model.evaluation.report import ALL, Summary
 from ocnf_model.evaluation.run import Evaluation
+from ocnf_model.evaluation.summary import ALL, Summary
 
 TOOLS = Path(__file__).parent.parent / "tools"
 
@@ -156,8 +156,8 @@ def test_the_training_demo_wants_to_win_at_both_resolutions(monkeypatch, ours, w
 
     mads = {(64, "VolFus"): 20.0, (64, "TV-L1"): 10.0, (64, "Ours"): ours[0],
             (128, "VolFus"): 3.0, (128, "TV-L1"): 5.0, (128, "Ours"): ours[1]}
-    summaries = [Summary("v2", ALL, side, method, 24, mad, 1, 1, 1, 1)
-                 for (side, method), mad in mads.items()]
+    summaries = [Summary("v2", ALL, resolution, method, 24, mad, 1, 1, 1, 1)
+                 for (resolution, method), mad in mads.items()]
     console = Console(file=io.StringIO(), record=True)
     assert verdict(Evaluation([], summaries, [], {}, ""), console) is won
     assert (console.export_text().count("not better") == 0) is won

@@ -165,7 +165,7 @@ def _seen_points(views: Views) -> Iterator[F64]:
 def check_sample(sample: StoredSample, manifest: Manifest, meshes: Path | None, n_cells: int,
                  seed: int) -> Iterator[Check]:
     """All checks of one sample."""
-    origin = remake(manifest, sample.facts, meshes)
+    remade = remake(manifest, sample.facts, meshes)
     extent = manifest.normalise.extent
     occupancy = manifest.target == "occupancy"
     for res in manifest.resolutions:
@@ -174,17 +174,17 @@ def check_sample(sample: StoredSample, manifest: Manifest, meshes: Path | None, 
         name = target_member(res)
         target = sample.octree(name)
         if not occupancy:
-            found = check_cells(target, origin.views, Encoding.TSDF, tau, extent, TARGET_ERROR, n_cells, rng)
+            found = check_cells(target, remade.views, Encoding.TSDF, tau, extent, TARGET_ERROR, n_cells, rng)
             yield Check(sample.key, name, "cells", *found)
         kind = Encoding.OCCUPANCY if occupancy else Encoding.TSDF
         yield Check(sample.key, name, "range", *check_range(target, kind))
-        surface = check_surface(target, origin.views, 0.5 if occupancy else 0.0, extent)
+        surface = check_surface(target, remade.views, 0.5 if occupancy else 0.0, extent)
         yield Check(sample.key, name, "surface", *surface)
         for variant in manifest.inputs:
             for encoding in variant.encodings:
                 name = input_member(variant.name, encoding, res)
                 octree = sample.octree(name)
-                found = check_cells(octree, origin.observed[variant.name], encoding, tau, extent, INPUT_ERROR,
+                found = check_cells(octree, remade.observed[variant.name], encoding, tau, extent, INPUT_ERROR,
                                     n_cells, rng)
                 yield Check(sample.key, name, "cells", *found)
                 yield Check(sample.key, name, "range", *check_range(octree, encoding))

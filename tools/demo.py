@@ -20,8 +20,8 @@ from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.terminal import print_error
-from ocnf_data.verify.info import describe, print_info
-from ocnf_data.verify.report import print_verify
+from ocnf_data.verify.problems import print_verify
+from ocnf_data.verify.summary import describe, print_summary
 from ocnf_data.verify.verify import verify
 from ocnf_model.checkpoint import PRETRAINED
 from ocnf_model.evaluation.run import run_evaluate
@@ -68,7 +68,7 @@ def main(
         if status:
             raise typer.Exit(status)
         step(f"3. What is in it: ocnf-data info {data}")
-        print_info(describe(str(data)), console)
+        print_summary(describe(str(data)), console)
         step("4. Statistics by category: python tools/shard_stats.py")
         columns = collect(str(data), None, 1)
         print_table(columns)

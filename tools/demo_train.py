@@ -20,8 +20,8 @@ from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.terminal import print_error
 from ocnf_model.evaluation.methods import Method
-from ocnf_model.evaluation.report import ALL
 from ocnf_model.evaluation.run import WEIGHTS_FILE, Evaluation, run_choose_weight, run_evaluate
+from ocnf_model.evaluation.summary import ALL
 from ocnf_model.training.run import train
 from ocnf_model.training.settings import Decay, Stage, TrainSettings
 
@@ -50,11 +50,11 @@ def verdict(found: Evaluation, console: Console) -> bool:
     """Say at each resolution whether the network is better than both baselines."""
     mads = {(one.resolution, one.method): one.mad_mm for one in found.summaries if one.category == ALL}
     won = True
-    for side in sorted({side for side, _ in mads}):
-        volfus, tvl1, ours = (mads[side, method.label] for method in Method)
+    for resolution in sorted({resolution for resolution, _ in mads}):
+        volfus, tvl1, ours = (mads[resolution, method.label] for method in Method)
         better = ours < min(volfus, tvl1)
         won &= better
-        console.print(f"{side}³: ours {ours:.2f} mm, VolFus {volfus:.2f} mm, TV-L1 {tvl1:.2f} mm: "
+        console.print(f"{resolution}³: ours {ours:.2f} mm, VolFus {volfus:.2f} mm, TV-L1 {tvl1:.2f} mm: "
                       + (f"[green]{1 - ours / min(volfus, tvl1):.0%} less than the better one[/]" if better
                          else "[red]not better than both[/]"), highlight=False)
     return won
@@ -62,7 +62,7 @@ def verdict(found: Evaluation, console: Console) -> bool:
 
 def main(
     out: Annotated[Path, typer.Option(help="Folder for data, run and pictures.")] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(help="Of shapes, noise, weights and order.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of shapes, noise, weights and order.")] = 0,
     jobs: Annotated[int, typer.Option(help="Worker processes that generate.")] = 2,
 ) -> None:
     """Generate shapes, train on them from scratch, choose TV-L1's weight, compare on shapes never seen."""

@@ -68,8 +68,8 @@ def load(folder: Path, resolution: int, n_frames: int, truncation: float) -> Seq
     x, y, z = ((low + high) / 2).tolist()
     deepest = float(np.percentile(scan.views.depth[scan.views.depth > 0], 99))
     tau = max(truncation * deepest**2 / 351, 3 * side / resolution)
-    octree = fuse_tsdf(pyramid, resolution, side, tau, origin=(x, y, z))
-    vertices, faces = octree_surface(octree, side, origin=(x, y, z))
+    octree = fuse_tsdf(pyramid, resolution, side, tau, centre=(x, y, z))
+    vertices, faces = octree_surface(octree, side, centre=(x, y, z))
     faces = faces[observed(vertices, scan.views, tau / 2)[faces].all(axis=1)]
     chosen = np.linspace(0, len(scan.views) - 1, min(n_frames, len(scan.views))).astype(int)
     views = scan.views.subset(chosen)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# usage: tools/setup_venv.sh VENV     creates VENV with everything that `make demo` and `make test` need.
+# usage: tools/setup_venv.sh VENV     creates VENV with everything that `make` needs.
 #
 # PYTHON        the interpreter to use (default: the first of python3.11, 3.12, 3.13, python3 that runs)
 # TORCH_INDEX   where torch comes from. Unset, on Linux without an NVIDIA device, PyTorch's own CPU index is
@@ -40,5 +40,5 @@ echo "setup: installing $torch_pin ${index:+from $index}"
 "${pip[@]}" install -q ${index:+--extra-index-url "$index"} -c "$here/constraints.txt" \
     "${torch_pin}${index:+$([ "$index" = "$cpu_index" ] && echo +cpu)}"
 echo "setup: installing the rest (a minute or two)"
-"${pip[@]}" install -q -c "$here/constraints.txt" -e "$here[generate,gl,remote,dev]"
+"${pip[@]}" install -q -c "$here/constraints.txt" -e "$here[generate,gl,remote,docs,dev]"
 "$venv/bin/python" -c 'import ocnf_data; print("setup: ocnf", ocnf_data.__version__, "is ready")'

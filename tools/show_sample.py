@@ -16,7 +16,7 @@ import typer
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.generation.remake import Origin, remake
+from ocnf_data.generation.remake import Remade, remake
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
@@ -50,13 +50,13 @@ def draw_sample(
     coarse, fine = manifest.resolutions[0], manifest.resolutions[-1]
     inputs = {res: sample.octree(input_member(chosen.name, encoding, res)) for res in (coarse, fine)}
     targets = {res: sample.octree(target_member(res)) for res in (coarse, fine)}
-    origin = remake(manifest, sample.facts, meshes)
+    remade = remake(manifest, sample.facts, meshes)
 
     figure, axes = plt.subplots(2, 4, figsize=(16, 8.4), layout="constrained")
-    _draw_origin(axes[0], origin, chosen.name, manifest, up)
+    _draw_inputs(axes[0], remade, chosen.name, manifest, up)
     extent = manifest.normalise.extent
     points, faces = octree_surface(targets[fine], extent, level=0.0 if manifest.target == "tsdf" else 0.5)
-    axes[0, 3].imshow(shade(points, faces, size=640, up=up, frame=origin.vertices, colour=(0.62, 0.72, 0.82)))
+    axes[0, 3].imshow(shade(points, faces, size=640, up=up, frame=remade.vertices, colour=(0.62, 0.72, 0.82)))
     axes[0, 3].set_title(f"ground-truth surface, {fine}³")
     axes[0, 3].set_axis_off()
     plane = busiest_plane(targets[coarse], axis=1)
@@ -65,7 +65,7 @@ def draw_sample(
         (inputs[res], encoding, res, f"input, {encoding}"), (targets[res], kind, res, "ground truth"))]
     for ax, (octree, shown_as, res, what) in zip(axes[1], panels, strict=True):
         at = plane * res // coarse
-        window = busiest_window(targets[res], 1, at, side=2 * coarse) if res > 2 * coarse else None
+        window = busiest_window(targets[res], 1, at, width=2 * coarse) if res > 2 * coarse else None
         draw_slice(ax, octree, 1, at, shown_as, window)
         ax.set_title(f"{what}, {res}³, y = {at}\n{_leaves(octree)}", fontsize=11)
     legend = "slices: blue is free, white the surface, red inside or unseen; lines are the octree's cells"
@@ -75,14 +75,14 @@ def draw_sample(
     plt.close(figure)
 
 
-def _draw_origin(axes: Any, origin: Origin, variant: str, manifest: Manifest, up: str) -> None:
+def _draw_inputs(axes: Any, remade: Remade, variant: str, manifest: Manifest, up: str) -> None:
     """The mesh, one clean depth map, and the same with noise."""
-    axes[0].imshow(shade(origin.vertices, origin.mesh.faces, size=640, up=up))
-    axes[0].set_title(f"mesh, {len(origin.mesh.faces):,} faces")
+    axes[0].imshow(shade(remade.vertices, remade.mesh.faces, size=640, up=up))
+    axes[0].set_title(f"mesh, {len(remade.mesh.faces):,} faces")
     axes[0].set_axis_off()
     chosen = next(v for v in manifest.inputs if v.name == variant)
     view = manifest.view_indices(chosen)[0]
-    clean, noisy = origin.views.depth[view], origin.observed[variant].depth[0]
+    clean, noisy = remade.views.depth[view], remade.observed[variant].depth[0]
     hit = clean[np.isfinite(clean) & (clean > 0)]
     limits = (float(hit.min()), float(hit.max())) if hit.size else (0.0, 1.0)
     draw_depth(axes[1], clean, limits)

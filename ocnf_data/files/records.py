@@ -6,9 +6,10 @@ import hashlib
 import json
 from typing import Annotated, Any, Final, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.validation import Strict, translate
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, le=2**53)]
@@ -29,10 +30,10 @@ def canonical_json(value: Any, indent: int | None = None) -> bytes:
     return text.encode("ascii") + b"\n"
 
 
-class Record(BaseModel):
-    """A frozen record that is read strictly: no unknown fields, no converted types, bounded numbers."""
+class Record(Strict):
+    """A record in a file of its own or within another: no converted types, one text for a value."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+    model_config = ConfigDict(strict=True, populate_by_name=True)
 
     def to_json(self) -> bytes:
         """The record's file: canonical JSON."""
@@ -52,23 +53,22 @@ class Record(BaseModel):
         try:
             record = cls.model_validate_json(blob)
         except ValidationError as error:
-            raise _first_problem(error, where) from None
+            _check_schema(error, where)
+            raise translate(error, cls, where, "invalid") from None
         try:
             canonical = record.to_json()
         except ValueError as error:  # NaN, which JSON has not
             raise OcnfError("not JSON", where=where, found=error) from None
         if canonical != blob:
             raise OcnfError("not the text that was written: damaged, or changed by hand", code="checksum",
-                            where=where, fix="run `ocnf-data generate` again: it writes the file anew")
+                            where=where, fix="run `ocnf-data generate` again: it writes the file again")
         return record
 
 
-def _first_problem(error: ValidationError, where: object) -> OcnfError:
-    problem = error.errors(include_url=False, include_context=False)[0]
-    field = ".".join(str(part) for part in problem["loc"]) or None
-    if field == "schema" and problem["type"] != "missing":
-        return OcnfError("the data set has another schema version", code="schema", where=where, field=field,
-                         found=problem["input"], expected=SCHEMA_VERSION,
-                         fix="read it with the version of ocnf that wrote it, or generate it again")
-    found = None if problem["type"] in ("missing", "json_invalid") else repr(problem["input"])[:200]
-    return OcnfError(problem["msg"][:1].lower() + problem["msg"][1:], where=where, field=field, found=found)
+def _check_schema(error: ValidationError, where: object) -> None:
+    """Raise for another version of the format alone: that explains whatever else is wrong."""
+    for one in error.errors(include_url=False, include_context=False):
+        if one["loc"] == ("schema",) and one["type"] != "missing":
+            raise OcnfError("the data set has another schema version", code="schema", where=where,
+                            field="schema", found=one["input"], expected=SCHEMA_VERSION,
+                            fix="read it with the version of ocnf that wrote it, or generate it again")

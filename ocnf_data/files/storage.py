@@ -16,7 +16,6 @@ import errno
 import os
 import re
 import secrets
-import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -115,10 +114,6 @@ class Store:
         """False for `memory://`, where what a worker process writes is lost."""
         return self.protocol != "memory"
 
-    def child(self, name: str) -> Store:
-        """The store of a folder in this one."""
-        return Store(self.where(name))
-
     def where(self, name: str) -> str:
         """The full path or URL of a file, for messages and for `Store` or fsspec elsewhere."""
         return f"{self.url.rstrip('/')}/{_checked(name)}"
@@ -144,6 +139,28 @@ class Store:
             if path is not None:
                 return path.read_bytes()
             return cast(bytes, self._fs.cat_file(self._remote(name)))
+
+    def read_at_most(self, name: str, limit: int) -> bytes:
+        """The whole file, if it has at most `limit` bytes: one request, and nothing larger is ever held.
+
+        Raises:
+            OcnfError: code `missing` where there is no such file, `too_large` where it is longer.
+        """
+        with storage_errors(self.where(name)):
+            path = self.local_path(name)
+            if path is not None:
+                if not path.is_file():  # opening a pipe would wait for ever
+                    raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
+                with path.open("rb", buffering=0) as file:
+                    size = os.fstat(file.fileno()).st_size
+                    data = _read_exactly(file, size) if size <= limit else b""
+            else:
+                data = self._read_start(name, limit + 1)
+                size = len(data)
+        if size > limit:
+            raise OcnfError("the file is too large", code="too_large", where=self.where(name),
+                            expected=f"at most {limit} bytes")
+        return data
 
     def read_range(self, name: str, offset: int, size: int) -> bytes:
         """Exactly `size` bytes from `offset`.
@@ -233,15 +250,6 @@ class Store:
         with self.writing(name) as path:
             path.write_bytes(data)
 
-    def put_file(self, local: str | os.PathLike[str], name: str) -> None:
-        """Copy a local file to `name`; the local file stays. To write without a copy use `writing`."""
-        if self.root is None:
-            with storage_errors(self.where(name)):
-                self._put(Path(local), name)
-            return
-        with self.writing(name) as path:
-            shutil.copyfile(local, path)
-
     def remove(self, name: str) -> None:
         """Delete a file; one that is not there is no error."""
         with storage_errors(self.where(name)):
@@ -251,22 +259,22 @@ class Store:
             elif self.exists(name):
                 self._fs.rm_file(self._remote(name))
 
-    def clean_temporaries(self, folder: str = "") -> Sequence[str]:
-        """Remove what killed writers left in `folder` and below, and return the names.
+    def clean_temporaries(self) -> Sequence[str]:
+        """Remove what killed writers left, and return the names.
 
         Only where nobody is writing: a live writer's temporary looks the same.
         """
         if self.root is None:  # remote temporaries never get a name there
             return []
         with storage_errors(self.url):
-            left = sorted(name for name in self._walk(folder) if _is_temporary(name))
+            left = sorted(name for name in self._walk() if _is_temporary(name))
             for name in left:
                 (self.root / name).unlink(missing_ok=True)
         return left
 
     # ---- the two kinds of place
 
-    def _walk(self, folder: str) -> Iterator[str]:
+    def _walk(self, folder: str = "") -> Iterator[str]:
         assert self.root is not None
         base = self.root / _checked(folder) if folder else self.root
 
@@ -298,6 +306,17 @@ class Store:
     def _info(self, name: str) -> dict[str, Any]:
         self._fs.invalidate_cache()  # another process may have written since
         return cast(dict[str, Any], self._fs.info(self._remote(name)))
+
+    def _read_start(self, name: str, end: int) -> bytes:
+        """The first `end` bytes of a remote file, or all that it has."""
+        try:
+            return cast(bytes, self._fs.cat_file(self._remote(name), start=0, end=end))
+        except FileNotFoundError:
+            raise
+        except Exception:  # of an empty file, servers refuse every range
+            if self.size(name) == 0:
+                return b""
+            raise
 
     def _put(self, path: Path, name: str) -> None:
         options = {}

@@ -1,8 +1,9 @@
-"""Typed configuration whose errors say field, value, and what is allowed."""
+"""Typed values whose errors say field, value, and what is allowed: their base, and the one translator."""
 
 from __future__ import annotations
 
 import difflib
+import re
 import reprlib
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,11 +14,12 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from ocnf_data.errors import OcnfError
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 M = TypeVar("M", bound=BaseModel)
 
 # Strict: YAML knows numbers from strings and truth values, and `views: true` is a slip, not 1.
 Int = Annotated[int, Field(strict=True)]
+Positive = Annotated[int, Field(strict=True, ge=1)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 _REPR = reprlib.Repr()
@@ -25,8 +27,13 @@ _REPR.maxstring = _REPR.maxother = 80
 _REPR.maxlist, _REPR.maxdict = 12, 8
 
 
+# A damaged file may have thousands of wrong fields.
+_MOST_PROBLEMS = 20
+_ORDERS = re.compile(r"(Input should be|(Data|Dictionary|List|Tuple|String|Value) should have) ")
+
+
 class Strict(BaseModel):
-    """Base of all configuration: immutable, and nothing in it is ignored."""
+    """Base of all configuration and of all records: immutable, and nothing in it is ignored."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
@@ -54,7 +61,7 @@ def refuse_repeats(names: Sequence[str], at: str = "", after: str = "") -> None:
                           expected=f"each once (it is also number {names.index(name)}, counted from 0)")
 
 
-def _some(value: tuple[T, ...]) -> tuple[T, ...]:
+def _some(value: tuple[_T, ...]) -> tuple[_T, ...]:
     if not value:
         raise refused("the list is empty", found=[], expected="at least one")
     return value
@@ -76,13 +83,20 @@ def validate(model: type[M], data: Any, where: object) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        problems = [_problem(model, detail) for detail in error.errors(include_url=False)]
+        raise translate(error, model, where, "manifest") from None
     except RecursionError as error:
         raise OcnfError("nested too deeply", code="manifest", where=where) from error
-    if len(problems) == 1:
-        raise OcnfError(code="manifest", where=where, **problems[0])
+
+
+def translate(error: ValidationError, model: type[BaseModel], where: object, code: str) -> OcnfError:
+    """The OcnfError that says what pydantic found wrong with a `model`, up to 20 fields in one message."""
+    details = error.errors(include_url=False)
+    problems = [_problem(model, detail) for detail in details[:_MOST_PROBLEMS]]
+    if len(details) == 1:
+        return OcnfError(code=code, where=where, **problems[0])
     lines = "".join(f"\n  {OcnfError(**problem)}" for problem in problems)
-    raise OcnfError(f"{len(problems)} fields are wrong:{lines}", code="manifest", where=where)
+    more = f"\n  and {len(details) - len(problems)} more" if len(details) > len(problems) else ""
+    return OcnfError(f"{len(details)} fields are wrong:{lines}{more}", code=code, where=where)
 
 
 def _problem(model: type[BaseModel], detail: ErrorDetails) -> dict[str, Any]:
@@ -111,8 +125,13 @@ def _problem(model: type[BaseModel], detail: ErrorDetails) -> dict[str, Any]:
                     "found": repr(context["tag"]), "expected": f"one of {context['expected_tags']}"}
         case "union_tag_not_found":
             return {"what": "the field is missing", "field": f"{field}.kind"}
+        case "json_invalid":
+            return {"what": f"not JSON: {context['error']}"}
+        case "value_error":  # raised by a validator that compares several fields, and names them
+            return {"what": str(context["error"]), "field": field}
         case _:
-            expected = detail["msg"].removeprefix("Input should be ").replace("a valid tuple", "a list")
+            expected = _ORDERS.sub("", detail["msg"]).replace("a valid tuple", "a list")
+            expected = expected.replace("String should match", "text that matches")
             return {"what": "the value is not allowed", "field": field, "found": found, "expected": expected}
 
 

@@ -18,20 +18,20 @@ from ocnf_data.arrays import F32
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import accumulate
+from ocnf_data.fusion.bundles import Rule, Scene
 from ocnf_data.fusion.projection import Grid, cell_offsets, grid_cameras
 from ocnf_data.fusion.pyramid import DepthPyramid
 from ocnf_data.fusion.threads import map_in_threads
 from ocnf_data.fusion.traverse import ROOT, fuse_row, place_row
-from ocnf_data.octree import GridOctree
+from ocnf_data.octree.grid import MAX_RESOLUTION, GridOctree
 from ocnf_data.views.cameras import Views
 
 __all__ = ["DepthPyramid", "default_truncation", "fuse", "fuse_histogram", "fuse_occupancy",
            "fuse_tdf_occupancy", "fuse_tsdf"]
 
 Resolution = int | tuple[int, int, int]
-Origin = tuple[float, float, float]
+Centre = tuple[float, float, float]
 
-MAX_RESOLUTION = 1024
 _TRUNCATION_VOXELS = 0.025 * 256 / 3  # the paper's 25 mm at 256^3 in the 3 m cube
 _SPLIT_TOLERANCE = 1e-6  # of the encoding's full range
 
@@ -42,7 +42,7 @@ def default_truncation(resolution: Resolution, extent: float = 3.0) -> float:
 
 
 def fuse_tsdf(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,
-              truncation: float | None = None, *, origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
+              truncation: float | None = None, *, centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """TSDF / tau, 1 channel in [-1, 1]: the mean of min(dist, tau) over the views with dist >= -tau.
 
     `dist` is measured depth - depth of the voxel, positive in front of the surface. Free space is exactly 1,
@@ -50,51 +50,51 @@ def fuse_tsdf(views: Views | DepthPyramid, resolution: Resolution, extent: float
 
     Args:
         views: the depth maps, or their pyramid where several fusions share it.
-        resolution: voxels along the sides of the cube, a multiple of 8; or (D, H, W), whose longest side then
+        resolution: voxels along each axis of the cube, a multiple of 8; or (D, H, W), whose longest then
             measures `extent`.
-        extent: side of the cube in metres.
+        extent: edge length of the cube in metres.
         truncation: tau in metres; None = 2.1333 voxels.
-        origin: world position (x, y, z) of the cube's centre in metres.
+        centre: world position (x, y, z) of the cube's centre in metres.
 
     Raises:
         OcnfError: a resolution that is no multiple of 8 or above 1024, a length that is not positive.
     """
-    grid = _grid(resolution, extent, origin)
+    grid = _grid(resolution, extent, centre)
     tau = _length("truncation", truncation, default_truncation(resolution, extent))
     return _fuse(views, grid, Encoding.TSDF, accumulate.TSDF, -tau, tau, tau)
 
 
 def fuse_tdf_occupancy(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,
                        truncation: float | None = None, *,
-                       origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
+                       centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """|TSDF| / tau and [TSDF < 0], 2 channels in [0, 1]. Arguments as for `fuse_tsdf`."""
-    grid = _grid(resolution, extent, origin)
+    grid = _grid(resolution, extent, centre)
     tau = _length("truncation", truncation, default_truncation(resolution, extent))
     return _fuse(views, grid, Encoding.TDF_OCCUPANCY, accumulate.TDF_OCCUPANCY, -tau, tau, tau)
 
 
 def fuse_histogram(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,
-                   truncation: float | None = None, *, origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
+                   truncation: float | None = None, *, centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """The share of the views that vote for each of 10 bins of dist, 10 channels that sum to 1.
 
     Bin centres are `linspace(-1.125, 1.125, 10) * tau`; a vote is split linearly between the two nearest.
     Views with dist >= -tau vote. Free space is the last bin, a voxel without votes the first. Arguments as
     for `fuse_tsdf`.
     """
-    grid = _grid(resolution, extent, origin)
+    grid = _grid(resolution, extent, centre)
     tau = _length("truncation", truncation, default_truncation(resolution, extent))
     return _fuse(views, grid, Encoding.HISTOGRAM, accumulate.HISTOGRAM, -tau, 1.125 * tau, tau)
 
 
 def fuse_occupancy(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,
                    truncation: float | None = None, *, threshold: float | None = None,
-                   origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
+                   centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """0 where some view sees more than `threshold` metres past the voxel, else 1; 1 channel.
 
     `threshold` None is one voxel. Occupancy has no truncation: that argument is there so that the four
     functions can be called alike. The others as for `fuse_tsdf`.
     """
-    grid = _grid(resolution, extent, origin)
+    grid = _grid(resolution, extent, centre)
     _length("truncation", truncation, grid.voxel)
     seen = _length("threshold", threshold, grid.voxel)
     return _fuse(views, grid, Encoding.OCCUPANCY, accumulate.OCCUPANCY, seen, seen, seen)
@@ -102,7 +102,7 @@ def fuse_occupancy(views: Views | DepthPyramid, resolution: Resolution, extent: 
 
 class _Fusion(Protocol):
     def __call__(self, views: Views | DepthPyramid, resolution: Resolution, extent: float = ...,
-                 truncation: float | None = ..., *, origin: Origin = ...) -> GridOctree: ...
+                 truncation: float | None = ..., *, centre: Centre = ...) -> GridOctree: ...
 
 
 _FUSIONS: dict[Encoding, _Fusion] = {
@@ -114,9 +114,9 @@ _FUSIONS: dict[Encoding, _Fusion] = {
 
 
 def fuse(views: Views | DepthPyramid, encoding: Encoding, resolution: Resolution, extent: float = 3.0,
-         truncation: float | None = None, *, origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
+         truncation: float | None = None, *, centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """Fuse into the given encoding; arguments as for `fuse_tsdf`."""
-    return _FUSIONS[Encoding(encoding)](views, resolution, extent, truncation, origin=origin)
+    return _FUSIONS[Encoding(encoding)](views, resolution, extent, truncation, centre=centre)
 
 
 _FREE_AND_UNSEEN = {
@@ -128,12 +128,14 @@ _FREE_AND_UNSEEN = {
 
 
 def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int,
-          near: float, far: float, truncation: float) -> GridOctree:
+          hidden_below: float, free_from: float, truncation: float) -> GridOctree:
     """Fuse row by row of root cubes, then put the rows' leaves in the grid's order."""
     pyramid = views if isinstance(views, DepthPyramid) else DepthPyramid(views)
     views = pyramid.views
     cameras = grid_cameras(views, grid)
-    offsets = cell_offsets(cameras)
+    images = views.depth.reshape(len(views), math.prod(views.size))
+    scene = Scene(cameras, cell_offsets(cameras), images, pyramid.windows, pyramid.levels, views.size)
+    rule = Rule(kind, hidden_below, free_from, truncation, _SPLIT_TOLERANCE * encoding.span)
     constants = np.array(_FREE_AND_UNSEEN[encoding], np.float32)
     gd, gh, gw = (n // 8 for n in grid.shape)
     trees = np.zeros((gd, gh, gw, 2), np.uint64)
@@ -141,8 +143,7 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     rows = [(z, y) for z in range(-(-grid.shape[0] // ROOT)) for y in range(-(-grid.shape[1] // ROOT))]
 
     def fuse_one(row: tuple[int, int]) -> F32:
-        return fuse_row(kind, cameras, offsets, views.depth, pyramid.windows, pyramid.levels, near, far,
-                        truncation, _SPLIT_TOLERANCE * encoding.span, constants, *row, trees, counts)
+        return fuse_row(scene, rule, constants, *row, trees, counts)
 
     leaves = map_in_threads(fuse_one, rows)
     prefix = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
@@ -152,13 +153,13 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
     return GridOctree.trusted(trees, data)
 
 
-def _grid(resolution: Resolution, extent: float, origin: Origin) -> Grid:
+def _grid(resolution: Resolution, extent: float, centre: Centre) -> Grid:
     shape = _shape(resolution)
     extent = _length("extent", extent, math.nan)
-    if len(origin) != 3 or not all(math.isfinite(c) for c in origin):
-        raise OcnfError("not a position", where="fusion", field="origin", found=origin,
+    if len(centre) != 3 or not all(math.isfinite(c) for c in centre):
+        raise OcnfError("not a position", where="fusion", field="centre", found=centre,
                         expected="(x, y, z) in metres")
-    return Grid(shape, extent / max(shape), (float(origin[0]), float(origin[1]), float(origin[2])))
+    return Grid(shape, extent / max(shape), (float(centre[0]), float(centre[1]), float(centre[2])))
 
 
 def _shape(resolution: Resolution) -> tuple[int, int, int]:

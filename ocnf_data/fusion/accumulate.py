@@ -100,7 +100,7 @@ def add_sight(measured: F64, depths: F64, threshold: float, counts: F64) -> None
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def finish(kind: int, totals: F64, votes: F64, counts: F64, n_free: int, out: F32) -> None:
+def write_cell(kind: int, totals: F64, votes: F64, counts: F64, n_free: int, out: F32) -> None:
     """Values of a cell into `out` (4, 4, 4, C) float32; `n_free` more views saw all of it to be free."""
     for i in range(CELL_VOXELS):
         value = out[i // 16, i // 4 % 4, i % 4]

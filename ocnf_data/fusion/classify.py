@@ -12,6 +12,7 @@ import math
 from numba import njit
 
 from ocnf_data.arrays import F32, F64, I64
+from ocnf_data.fusion.bundles import Eight, Rule
 from ocnf_data.fusion.pyramid import DEEPEST, FARTHEST, NEAREST
 
 NOTHING = 0
@@ -34,24 +35,25 @@ _METRE_SLACK = 1e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def footprints(camera: F64, size: tuple[int, int], z: int, y: int, x: int, side: int, out: F64) -> None:
+def footprints(camera: F64, size: tuple[int, int], cubes: Eight, out: F64) -> None:
     """Pixels and depths that eight cubes may touch.
 
-    Cube k = 4 dz + 2 dy + dx has its first voxel at (z, y, x) + side * (dz, dy, dx), `side` voxels a side.
-    `camera` is a row of `frames.grid_cameras`, `size` the image's (H, W); `out` (6, 8) receives the rows U0
-    to BACK, pixels clipped to one beyond the image. They mean nothing for a cube whose FRONT is not positive.
+    `camera` is a row of `projection.grid_cameras`, `size` the image's
+    (H, W); `out` (6, 8) receives the rows U0 to BACK, pixels clipped
+    to one beyond the image. They mean nothing for a cube whose FRONT is not positive.
     """
     height, width = float(size[0]), float(size[1])
-    half = 0.5 * (side - 1)
+    z, y, x, cube_width = cubes
+    half = 0.5 * (cube_width - 1)
     ux, uy, uz, u1 = camera[0], camera[1], camera[2], camera[3]
     vx, vy, vz, v1 = camera[4], camera[5], camera[6], camera[7]
     zx, zy, zz, z1 = camera[8], camera[9], camera[10], camera[11]
     cu, cv = camera[12], camera[13]
     reach = half * (abs(zx) + abs(zy) + abs(zz))
     for k in range(8):
-        kx = x + half + side * (k & 1)
-        ky = y + half + side * (k >> 1 & 1)
-        kz = z + half + side * (k >> 2)
+        kx = x + half + cube_width * (k & 1)
+        ky = y + half + cube_width * (k >> 1 & 1)
+        kz = z + half + cube_width * (k >> 2)
         depth = zx * kx + zy * ky + zz * kz + z1
         front = depth - reach
         # Offsets (a, b) of (f X, Z) within the cube shift the pixel by (a - b f X / Z) / (Z + b). That
@@ -70,8 +72,7 @@ def footprints(camera: F64, size: tuple[int, int], z: int, y: int, x: int, side:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int, int], near: float,
-             far: float) -> int:
+def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int, int], rule: Rule) -> int:
     """Class of one view for cube `k` of a footprint (6, 8).
 
     Args:
@@ -80,8 +81,7 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
         windows: that view's part of the DepthPyramid, (n_entries, 3).
         levels: the DepthPyramid's.
         size: image size (H, W).
-        near: metres; a measured pixel with `depth - z_c < near` contributes nothing.
-        far: metres; a pixel with `depth - z_c >= far` says free.
+        rule: the encoding's; its two bounds decide.
     """
     front, back = footprint[FRONT, k], footprint[BACK, k]
     if back < -_METRE_SLACK:
@@ -107,11 +107,11 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
     a, b, c, d = upper + j0, upper + j1, lower + j0, lower + j1
     nearest = min(min(windows[a, NEAREST], windows[b, NEAREST]),
                   min(windows[c, NEAREST], windows[d, NEAREST]))
-    if nearest - back >= far + _METRE_SLACK:
+    if nearest - back >= rule.free_from + _METRE_SLACK:
         return FREE if edge == 0 else SILHOUETTE + EDGE
     deepest = max(max(windows[a, DEEPEST], windows[b, DEEPEST]),
                   max(windows[c, DEEPEST], windows[d, DEEPEST]))
-    if deepest - front < near - _METRE_SLACK:
+    if deepest - front < rule.hidden_below - _METRE_SLACK:
         farthest = max(max(windows[a, FARTHEST], windows[b, FARTHEST]),
                        max(windows[c, FARTHEST], windows[d, FARTHEST]))
         return NOTHING if farthest < math.inf else SILHOUETTE + edge

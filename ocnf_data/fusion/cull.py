@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ocnf_data.arrays import F32, F64, I32, I64
+from ocnf_data.arrays import F64, I32
+from ocnf_data.fusion.accumulate import OCCUPANCY
+from ocnf_data.fusion.bundles import Eight, Rule, Scene
 from ocnf_data.fusion.classify import EDGE, FREE, NOTHING, SURFACE, classify, footprints
 
 ALL_FREE, ALL_UNSEEN, MIXED = 0, 1, 2
@@ -16,45 +18,35 @@ N_FREE, N_OPEN, STATE = range(3)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sift(
-    cameras: F64, windows: F32, levels: I64, size: tuple[int, int], near: float, far: float,
-    one_is_enough: bool, z: int, y: int, x: int, side: int, views: I32, n_views: int, n_free: int,
-    footprint: F64, open_views: I32, tally: I32,
-) -> None:
-    """Sort the views that are open for a cube at (z, y, x) into those of its eight parts, `side` voxels each.
+def cull(scene: Scene, rule: Rule, cubes: Eight, views: I32, n_free: int, footprint: F64,
+         open_views: I32, tally: I32) -> None:
+    """Sort the views that are open for a cube into those of its eight parts.
 
     A part is settled if no view is open for it, or if some view says FREE and no view comes near a surface:
-    an open view could then only say FREE as well.
+    an open view could then only say FREE as well. For OCCUPANCY one FREE view settles a part by itself.
 
     Args:
-        cameras: (V, 14), see `frames.grid_cameras`.
-        windows: (V, n_entries, 3), the DepthPyramid's.
-        levels: the DepthPyramid's.
-        size: image size (H, W).
-        near: metres, see `classify`.
-        far: metres, see `classify`.
-        one_is_enough: whether one FREE view settles a part by itself.
-        z: first voxel of the cube.
-        y: first voxel of the cube.
-        x: first voxel of the cube.
-        side: of a part, in voxels.
-        views: those open for the cube, in ascending order, each `2 * view + edge`.
-        n_views: how many they are.
-        n_free: how many more say FREE about all of the cube.
+        scene: the cameras and images.
+        rule: the encoding's.
+        cubes: the parts.
+        views: those open for the parent, in ascending order, each `2 * view + edge`.
+        n_free: how many more say FREE about all of the parent.
         footprint: (6, 8), working space.
         open_views: (8, V) receives the open views of each part, like `views`.
         tally: (8, 3) receives N_FREE, N_OPEN and STATE of each part.
     """
+    cameras, windows, levels, size = scene.cameras, scene.windows, scene.levels, scene.size
+    one_is_enough = rule.kind == OCCUPANCY
     near_surface = np.uint32(0)
     for k in range(8):
         tally[k, N_FREE], tally[k, N_OPEN] = n_free, 0
-    for n in range(n_views):
+    for n in range(len(views)):
         view = views[n] >> 1
-        footprints(cameras[view], size, z, y, x, side, footprint)
+        footprints(cameras[view], size, cubes, footprint)
         for k in range(8):
             if one_is_enough and tally[k, N_FREE] > 0:
                 continue
-            found = classify(footprint, k, windows[view], levels, size, near, far)
+            found = classify(footprint, k, windows[view], levels, size, rule)
             if found == FREE:
                 tally[k, N_FREE] += 1
             elif found != NOTHING:

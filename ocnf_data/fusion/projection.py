@@ -1,6 +1,6 @@
 """The voxel grid as each camera sees it: projection as an affine map of voxel indices.
 
-Voxel (iz, iy, ix) has its centre at `origin + (i + 0.5) * s - side / 2` on each axis (SEMANTICS 1). In the
+Voxel (iz, iy, ix) has its centre at `centre + (i + 0.5) * s - n * s / 2` on each axis (SEMANTICS 1). In the
 camera, (fx X, fy Y, Z) is affine in (ix, iy, iz), so that a pixel costs two multiplications and one
 reciprocal: u + 0.5 = fx X / Z + (cx + 0.5).
 """
@@ -15,7 +15,7 @@ from ocnf_data.arrays import F64
 from ocnf_data.views.cameras import Views
 
 CELL = 4
-"""Side, in voxels, of the smallest cube that is classified; voxels are evaluated a cube at a time."""
+"""Voxels along each axis of the smallest cube that is classified; voxels are evaluated a cube at a time."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class Grid:
 
     Attributes:
         shape: (D, H, W), multiples of 8.
-        voxel: side of a voxel in metres.
-        origin: world position (x, y, z) of the box's centre in metres.
+        voxel: edge length of a voxel in metres.
+        centre: world position (x, y, z) of the box's centre in metres.
     """
 
     shape: tuple[int, int, int]
     voxel: float
-    origin: tuple[float, float, float]
+    centre: tuple[float, float, float]
 
 
 def grid_cameras(views: Views, grid: Grid) -> F64:
@@ -39,7 +39,7 @@ def grid_cameras(views: Views, grid: Grid) -> F64:
     Columns 0-3, 4-7, 8-11: coefficients of (ix, iy, iz, 1) in fx X, fy Y and Z; 12, 13: cx + 0.5, cy + 0.5.
     """
     d, h, w = grid.shape
-    first = np.array(grid.origin) + (0.5 - 0.5 * np.array([w, h, d])) * grid.voxel  # its centre, xyz
+    first = np.array(grid.centre) + (0.5 - 0.5 * np.array([w, h, d])) * grid.voxel  # its centre, xyz
     start = views.R @ first + views.T
     affine = np.concatenate([views.R * grid.voxel, start[:, :, None]], axis=2)  # (V, 3, 4)
     affine[:, 0] *= views.K[:, 0, 0, None]

@@ -1,8 +1,8 @@
 """Min-max pyramid of depth maps: what a block of voxels can see of a view, answered in four reads.
 
 Level l >= 1 has cells of 2^l x 2^l pixels. Entry (i, j) covers the *window* of 2 x 2 cells that starts at
-cell (i, j), so that two windows a side cover any span of up to four cells with less than a cell to spare at
-either end. Of its window an entry keeps
+cell (i, j), so that two windows along each axis cover any span of up to four cells, with less than a cell to
+spare at either end. Of its window an entry keeps
 
     NEAREST   the least depth; 0 where a pixel has no measurement
     DEEPEST   the greatest finite depth; 0 where there is none

@@ -12,11 +12,11 @@ from typing import TypeVar
 
 import numba
 
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
 
 
-def map_in_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> list[Result]:
+def map_in_threads(function: Callable[[_Task], _Result], tasks: Iterable[_Task]) -> list[_Result]:
     """`[function(task) for task in tasks]` on numba's number of threads."""
     n_threads = numba.get_num_threads()
     if n_threads == 1:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ocnf_data.arrays import F32, F64, I32, I64, U64
+from ocnf_data.arrays import F32, I32, I64, U64
 from ocnf_data.fusion.accumulate import (
     CELL_VOXELS,
     HISTOGRAM,
@@ -19,38 +19,30 @@ from ocnf_data.fusion.accumulate import (
     add_sight,
     add_tsdf,
     add_votes,
-    finish,
     project,
     project_edge,
     read,
+    write_cell,
 )
-from ocnf_data.fusion.cull import MIXED, N_FREE, N_OPEN, STATE, sift
+from ocnf_data.fusion.bundles import Eight, Rule, Scene, Scratch
+from ocnf_data.fusion.cull import MIXED, N_FREE, N_OPEN, STATE, cull
+from ocnf_data.fusion.projection import CELL
 from ocnf_data.octree.bits import MAX_LEAVES, pack_block
 
 ROOT = 32
-"""Side of the cubes at which the descent begins, in voxels."""
+"""Voxels along each axis of the cubes at which the descent begins."""
 ROOT_TREES = ROOT // 8
-"""The same in trees."""
+"""Trees along each axis of these cubes."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fuse_row(
-    kind: int, cameras: F64, offsets: F64, depth: F32, windows: F32, levels: I64, near: float, far: float,
-    truncation: float, tolerance: float, constants: F32, root_z: int, root_y: int, trees: U64, counts: I32,
-) -> F32:
+def fuse_row(scene: Scene, rule: Rule, constants: F32, root_z: int, root_y: int, trees: U64,
+             counts: I32) -> F32:
     """Fuse the row of root cubes (root_z, root_y, all x).
 
     Args:
-        kind: what to accumulate, one of accumulate's TSDF, TDF_OCCUPANCY, HISTOGRAM, OCCUPANCY.
-        cameras: (V, 14), `frames.grid_cameras`.
-        offsets: (V, 3, 64), `frames.cell_offsets`.
-        depth: (V, H, W) float32.
-        windows: (V, n_entries, 3), the DepthPyramid's.
-        levels: the DepthPyramid's.
-        near: metres, see `classify`.
-        far: metres, see `classify`.
-        truncation: tau in metres; for OCCUPANCY the threshold.
-        tolerance: of the split rule, in the units of the values.
+        scene: the cameras and images.
+        rule: the encoding's.
         constants: (2, C) float32, the values of a free voxel and of an unseen one.
         root_z: which row, in root cubes.
         root_y: which row, in root cubes.
@@ -58,35 +50,32 @@ def fuse_row(
         counts: (GD, GH, GW) int32; the row's numbers of leaves are written.
 
     Returns:
-        (n, C) float32: the leaves of the row's trees, in the order of `trees_of_root`.
+        (n, C) float32: the leaves of the row's trees, in the order of `tree_of_root`.
     """
-    n_views, height, width = depth.shape
-    size = (height, width)
-    one_is_enough = kind == OCCUPANCY
+    n_views, n_channels = len(scene.cameras), constants.shape[1]
     gd, gh, gw = counts.shape
-    images = depth.reshape((n_views, height * width))
     everything = 2 * np.arange(n_views, dtype=np.int32)
     footprint = np.empty((6, 8))
     open16, tally16 = np.empty((8, n_views), np.int32), np.empty((8, 3), np.int32)
     open8, tally8 = np.empty((8, n_views), np.int32), np.empty((8, 3), np.int32)
     open4, tally4 = np.empty((8, n_views), np.int32), np.empty((8, 3), np.int32)
-    values = np.empty((8, 8, 8, constants.shape[1]), np.float32)
+    values = np.empty((8, 8, 8, n_channels), np.float32)
     scratch = _scratch()
     n_roots = -(-gw // ROOT_TREES)
-    leaves = np.empty((ROOT_TREES**3 * MAX_LEAVES * n_roots, constants.shape[1]), np.float32)
+    leaves = np.empty((ROOT_TREES**3 * MAX_LEAVES * n_roots, n_channels), np.float32)
     n_leaves = 0
     for root_x in range(n_roots):
-        sift(cameras, windows, levels, size, near, far, one_is_enough, ROOT * root_z, ROOT * root_y,
-             ROOT * root_x, 16, everything, n_views, 0, footprint, open16, tally16)
+        parts = Eight(ROOT * root_z, ROOT * root_y, ROOT * root_x, 16)
+        cull(scene, rule, parts, everything, 0, footprint, open16, tally16)
         for k in range(64):
             part, tree = k >> 3, k & 7
             gz, gy, gx = tree_of_root(root_z, root_y, root_x, k)
-            if tree == 0 and tally16[part, STATE] == MIXED:
-                sift(cameras, windows, levels, size, near, far, one_is_enough, 8 * gz, 8 * gy, 8 * gx, 8,
-                     open16[part], tally16[part, N_OPEN], tally16[part, N_FREE], footprint, open8, tally8)
+            state = tally16[part, STATE]
+            if tree == 0 and state == MIXED:
+                cull(scene, rule, Eight(8 * gz, 8 * gy, 8 * gx, 8), open16[part, : tally16[part, N_OPEN]],
+                     tally16[part, N_FREE], footprint, open8, tally8)
             if gz >= gd or gy >= gh or gx >= gw:
                 continue
-            state = tally16[part, STATE]
             if state == MIXED:
                 state = tally8[tree, STATE]
             if state != MIXED:
@@ -94,18 +83,11 @@ def fuse_row(
                 counts[gz, gy, gx] = 1
                 n_leaves += 1
                 continue
-            sift(cameras, windows, levels, size, near, far, one_is_enough, 8 * gz, 8 * gy, 8 * gx, 4,
-                 open8[tree], tally8[tree, N_OPEN], tally8[tree, N_FREE], footprint, open4, tally4)
-            for cell in range(8):
-                dz, dy, dx = 4 * (cell >> 2), 4 * (cell >> 1 & 1), 4 * (cell & 1)
-                block = values[dz : dz + 4, dy : dy + 4, dx : dx + 4]
-                if tally4[cell, STATE] != MIXED:
-                    block[:, :, :] = constants[tally4[cell, STATE]]
-                    continue
-                _fuse_cell(kind, cameras, offsets, images, size, truncation, 8 * gz + dz, 8 * gy + dy,
-                           8 * gx + dx, open4[cell], tally4[cell, N_OPEN], tally4[cell, N_FREE], scratch,
-                           block)
-            lo, hi, n = pack_block(values, tolerance, leaves[n_leaves : n_leaves + MAX_LEAVES])
+            cells = Eight(8 * gz, 8 * gy, 8 * gx, 4)
+            cull(scene, rule, cells, open8[tree, : tally8[tree, N_OPEN]], tally8[tree, N_FREE], footprint,
+                 open4, tally4)
+            _fuse_cells(scene, rule, constants, cells, open4, tally4, scratch, values)
+            lo, hi, n = pack_block(values, rule.tolerance, leaves[n_leaves : n_leaves + MAX_LEAVES])
             trees[gz, gy, gx, 0], trees[gz, gy, gx, 1] = lo, hi
             counts[gz, gy, gx] = n
             n_leaves += n
@@ -122,38 +104,43 @@ def tree_of_root(root_z: int, root_y: int, root_x: int, k: int) -> tuple[int, in
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _scratch() -> tuple[I32, F64, F64, F64, F64, F64]:
-    """What `_fuse_cell` works in: pixels, depths, measured, totals, seen (64,) each, and votes (64, 10)."""
-    return (np.empty(CELL_VOXELS, np.int32), np.empty(CELL_VOXELS), np.empty(CELL_VOXELS),
-            np.empty(CELL_VOXELS), np.empty(CELL_VOXELS), np.empty((CELL_VOXELS, N_BINS)))
+def _scratch() -> Scratch:
+    return Scratch(np.empty(CELL_VOXELS, np.int32), np.empty(CELL_VOXELS), np.empty(CELL_VOXELS),
+                   np.empty(CELL_VOXELS), np.empty(CELL_VOXELS), np.empty((CELL_VOXELS, N_BINS)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fuse_cell(
-    kind: int, cameras: F64, offsets: F64, images: F32, size: tuple[int, int], truncation: float,
-    z: int, y: int, x: int, views: I32, n_views: int, n_free: int,
-    scratch: tuple[I32, F64, F64, F64, F64, F64], block: F32,
-) -> None:
-    """Values of the cell at (z, y, x) into `block` (4, 4, 4, C); `n_free` more views say FREE."""
+def _fuse_cells(scene: Scene, rule: Rule, constants: F32, cells: Eight, open_views: I32, tally: I32,
+                scratch: Scratch, values: F32) -> None:
+    """Values of the eight cells of a tree into `values` (8, 8, 8, C); open views and tally are `cull`'s."""
+    cameras, offsets, images, size = scene.cameras, scene.offsets, scene.images, scene.size
     pixels, depths, measured, totals, seen, votes = scratch
-    totals[:] = 0
-    seen[:] = 0
-    if kind == HISTOGRAM:
-        votes[:] = 0
-    for n in range(n_views):
-        view, edge = views[n] >> 1, views[n] & 1
-        if edge:
-            project_edge(cameras[view], offsets[view], z, y, x, pixels, depths, size)
-        else:
-            project(cameras[view], offsets[view], z, y, x, pixels, depths, size)
-        read(images[view], pixels, measured)
-        if kind == OCCUPANCY:
-            add_sight(measured, depths, truncation, seen)
-        elif kind == HISTOGRAM:
-            add_votes(measured, depths, truncation, votes, seen)
-        else:
-            add_tsdf(measured, depths, truncation, totals, seen)
-    finish(kind, totals, votes, seen, n_free, block)
+    kind = rule.kind
+    for cell in range(8):
+        dz, dy, dx = CELL * (cell >> 2), CELL * (cell >> 1 & 1), CELL * (cell & 1)
+        z, y, x = cells.z + dz, cells.y + dy, cells.x + dx
+        block = values[dz : dz + CELL, dy : dy + CELL, dx : dx + CELL]
+        if tally[cell, STATE] != MIXED:
+            block[:, :, :] = constants[tally[cell, STATE]]
+            continue
+        totals[:] = 0
+        seen[:] = 0
+        if kind == HISTOGRAM:
+            votes[:] = 0
+        for n in range(tally[cell, N_OPEN]):
+            view, edge = open_views[cell, n] >> 1, open_views[cell, n] & 1
+            if edge:
+                project_edge(cameras[view], offsets[view], z, y, x, pixels, depths, size)
+            else:
+                project(cameras[view], offsets[view], z, y, x, pixels, depths, size)
+            read(images[view], pixels, measured)
+            if kind == OCCUPANCY:
+                add_sight(measured, depths, rule.truncation, seen)
+            elif kind == HISTOGRAM:
+                add_votes(measured, depths, rule.truncation, votes, seen)
+            else:
+                add_tsdf(measured, depths, rule.truncation, totals, seen)
+        write_cell(kind, totals, votes, seen, tally[cell, N_FREE], block)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

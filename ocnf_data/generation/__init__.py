@@ -9,12 +9,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ocnf_data.generation.report import Report
+    from ocnf_data.generation.outcome import Report
     from ocnf_data.generation.run import Interrupted, generate
 
 __all__ = ["Interrupted", "Report", "generate"]
 
-_HOME = {"Interrupted": "run", "Report": "report", "generate": "run"}
+_HOME = {"Interrupted": "run", "Report": "outcome", "generate": "run"}
 
 
 def __getattr__(name: str) -> Any:

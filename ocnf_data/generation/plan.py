@@ -11,15 +11,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
+import threading
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from json.encoder import encode_basestring_ascii as _encode
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.fingerprint import fingerprint
 from ocnf_data.generation.procedural import procedural_name
@@ -29,6 +32,7 @@ from ocnf_data.shards.tarformat import MAX_KEY, MAX_NAME, input_member, target_m
 
 PLAN_SCHEMA = 1
 _HASHING_THREADS = 8
+_HASHING_BYTES = 1 << 20  # between two looks at whether the run was interrupted
 _SUFFIX = 9  # "-" and 8 hexadecimal digits
 _SHORTEST_LIMIT = 24
 
@@ -61,16 +65,30 @@ class Plan:
 
     def to_json(self) -> bytes:
         """The bytes of `plan.json`."""
-        shards: dict[str, list[Any]] = {split: [] for split in self.splits}
-        for shard in self.shards:
-            shards[shard.split].append([item.to_json() for item in shard.items])
-        return canonical_json({
+        return b"".join(self.pieces())
+
+    def pieces(self) -> Iterator[bytes]:
+        """The bytes of `plan.json`, about a shard at a time: canonical JSON, indented by one blank.
+
+        The whole text of a million items would take more memory than the plan does, and Python's own encoder
+        three times as long as planning.
+        """
+        text = canonical_json({
             "schema": PLAN_SCHEMA,
             "manifest": self.manifest,
             "fingerprint": self.fingerprint,
-            "shards": shards,
+            "shards": {},
             "exclusions": [row.to_json() for row in self.exclusions],
         }, indent=1)
+        yield text.removesuffix(b"{}\n}\n")  # the shards come last of the sorted fields
+        before = b"{\n"
+        for split in sorted(self.splits):
+            yield before + f"  {_encode(split)}: [\n".encode()
+            lists = (_encode_items(shard.items) for shard in self.shards if shard.split == split)
+            for n, items in enumerate(lists):
+                yield (b",\n" if n else b"") + items
+            before = b"\n  ],\n"
+        yield b"\n  ]\n }\n}\n" if self.shards else b"{}\n}\n"
 
     @classmethod
     def from_dict(cls, raw: Mapping[str, Any]) -> Plan:
@@ -82,25 +100,18 @@ class Plan:
                    tuple(Failure.from_json(row) for row in raw["exclusions"]))
 
 
-def make_plan(manifest: Manifest, meshes: Path | None) -> Plan:
+def make_plan(manifest: Manifest, meshes: Path | None, splits: Sequence[str] = SPLITS) -> Plan:
     """List, name, checksum and order the items of a manifest.
 
     Args:
         manifest: what to make.
         meshes: the folder that mesh paths are relative to; None for procedural shapes.
+        splits: which of them; the others are left out as if the manifest had none of their items.
 
     Raises:
         OcnfError: the folder or a category is missing or empty, a key or a variant's name is too long.
     """
-    if meshes is not None and not meshes.is_dir():
-        raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
-                        field="source.root", fix="give it as --meshes ROOT")
-    entries = manifest.source.entries(meshes, manifest.seed)
-    entries, exclusions = _distinct(entries, meshes)
-    keys = make_keys(entries, _key_limit(manifest))
-    sums = _checksums(entries, meshes)
-    items = [Item(key, entry.split, entry.category, _source(entry), sha256, entry.index)
-             for key, entry, sha256 in zip(keys, entries, sums, strict=True)]
+    items, exclusions = list_items(manifest, meshes, splits)
     size = manifest.shards.samples
     shards = []
     for split in SPLITS:
@@ -110,6 +121,26 @@ def make_plan(manifest: Manifest, meshes: Path | None) -> Plan:
                    for n, start in enumerate(range(0, len(order), size))]
     marks = fingerprint(reads_files=meshes is not None, renders_with_gl=manifest.renderer == "pyrender")
     return Plan(manifest.to_dict(), marks, tuple(shards), tuple(exclusions))
+
+
+def list_items(manifest: Manifest, meshes: Path | None,
+               splits: Sequence[str] = SPLITS) -> tuple[list[Item], list[Failure]]:
+    """The items of some splits with their keys and checksums, in the source's order; and what is left out.
+
+    A mesh has the same key whichever splits are asked for. Arguments and errors as for `make_plan`.
+    """
+    if meshes is not None and not meshes.is_dir():
+        raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
+                        field="source.root", fix="give it as --meshes ROOT")
+    found = manifest.source.entries(meshes, manifest.seed)
+    entries, exclusions = _distinct([entry for entry in found if entry.excluded is None], meshes)
+    exclusions += [_exclusion(entry, entry.excluded) for entry in found if entry.excluded is not None]
+    keys = make_keys(entries, _key_limit(manifest))
+    wanted = [(key, entry) for key, entry in zip(keys, entries, strict=True) if entry.split in splits]
+    sums = _checksums([entry for _, entry in wanted], meshes, manifest.limits.max_bytes)
+    items = [Item(key, entry.split, entry.category, entry_source(entry), sha256, entry.index)
+             for (key, entry), sha256 in zip(wanted, sums, strict=True)]
+    return items, [row for row in exclusions if row.split in splits]
 
 
 def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
@@ -127,7 +158,8 @@ def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
             raise OcnfError("a key is too long", field="source.items", found=entry.key,
                             expected=f"at most {limit} characters")
         if entry.key is None and (name != want or len(name) > limit or count[name.lower()] > 1):
-            digest = hashlib.sha256(f"{entry.split}/{_source(entry)}".encode()).hexdigest()
+            path = f"{entry.split}/{entry_source(entry)}".encode(errors="surrogatepass")
+            digest = hashlib.sha256(path).hexdigest()
             name = f"{name[:limit - _SUFFIX]}-{digest[:_SUFFIX - 1]}"
         keys.append(name)
     twice = [key for key, n in Counter(key.lower() for key in keys).items() if n > 1]
@@ -148,7 +180,8 @@ def _readable(entry: Entry) -> str:
     return "-".join((*(part for part in path.parts[:-1] if part != "/"), path.stem))
 
 
-def _source(entry: Entry) -> str:
+def entry_source(entry: Entry) -> str:
+    """What `Item.source` says of an entry."""
     if entry.path is not None:
         return entry.path
     return procedural_name(entry.category, entry.split, entry.index or 0)
@@ -173,35 +206,81 @@ def _distinct(entries: Sequence[Entry], meshes: Path | None) -> tuple[list[Entry
         return list(entries), []
     kept: list[Entry] = []
     excluded: list[Failure] = []
-    first: dict[Path, Entry] = {}
+    first: dict[str, Entry] = {}
     for entry in entries:
-        known = first.setdefault((meshes / _source(entry)).resolve(), entry)
+        if entry.path is None:
+            kept.append(entry)
+            continue
+        known = first.setdefault(_identity(meshes / entry_source(entry)), entry)
         if known is entry:
             kept.append(entry)
         else:
-            source = _source(entry)
-            excluded.append(Failure(source, entry.split, entry.category, source, "plan", EXCLUDED,
-                                    f"is the same file as {known.split}'s {_source(known)}"))
+            excluded.append(_exclusion(entry, f"is the same file as {known.split}'s {entry_source(known)}"))
     return kept, excluded
 
 
-def _checksums(entries: Sequence[Entry], meshes: Path | None) -> list[str | None]:
-    """SHA-256 of each mesh file; None for a procedural shape, and for a file that cannot be read."""
-    if meshes is None:
-        return [None] * len(entries)
+def _identity(path: Path) -> str:
+    """What two names of one file share; of one that cannot be followed, such as a ring of links, its own."""
+    try:
+        return os.path.realpath(path, strict=True)
+    except (OSError, ValueError):  # ValueError: a null byte in the name
+        return str(path)
+
+
+def _exclusion(entry: Entry, why: str) -> Failure:
+    source = printable(entry_source(entry))
+    return Failure(source, entry.split, printable(entry.category), source, "plan", EXCLUDED, printable(why))
+
+
+def _checksums(entries: Sequence[Entry], meshes: Path | None, max_bytes: int) -> list[str | None]:
+    """SHA-256 of each mesh file.
+
+    None for a procedural shape, and for what will be refused unread: no plain file, more than `max_bytes`.
+    An interrupt ends all threads within one `_HASHING_BYTES`.
+    """
+    stop = threading.Event()
 
     def checksum(entry: Entry) -> str | None:
-        path = meshes / _source(entry)
-        try:
-            if not path.is_file():  # opening a pipe would wait for ever
-                return None
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError:  # its item will fail and say why
+        if meshes is None or entry.path is None:
             return None
+        path = meshes / entry.path
+        try:
+            # Looked at first: opening a pipe would wait for ever, and reading a terabyte nearly so.
+            if not path.is_file() or path.stat().st_size > max_bytes:
+                return None
+            digest, left = hashlib.sha256(), max_bytes + 1
+            with path.open("rb") as file:
+                while not stop.is_set() and (data := file.read(min(_HASHING_BYTES, left))):
+                    digest.update(data)
+                    left -= len(data)
+        except (OSError, ValueError):  # its item will fail and say why
+            return None
+        return digest.hexdigest() if left > 0 else None  # none where it grew meanwhile
 
     with ThreadPoolExecutor(_HASHING_THREADS) as pool:
-        return list(pool.map(checksum, entries))
+        try:
+            return list(pool.map(checksum, entries))
+        except BaseException:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _encode_items(items: Sequence[Item]) -> bytes:
+    """A shard's items as JSON, indented as they stand in `plan.json`."""
+    rows = []
+    for item in items:
+        sha256 = "null" if item.sha256 is None else _encode(item.sha256)
+        index = "null" if item.index is None else item.index
+        rows.append(f"""    {{
+     "category": {_encode(item.category)},
+     "index": {index},
+     "key": {_encode(item.key)},
+     "sha256": {sha256},
+     "source": {_encode(item.source)},
+     "split": {_encode(item.split)}
+    }}""")
+    return ("   [\n" + ",\n".join(rows) + "\n   ]").encode("ascii")
 
 
 def _rank(seed: int, item: Item) -> str:

@@ -18,7 +18,7 @@ from ocnf_data.views.cameras import Views
 
 
 @dataclass(frozen=True)
-class Origin:
+class Remade:
     """The intermediate results that a data set does not keep.
 
     Attributes:
@@ -36,7 +36,7 @@ class Origin:
 
 def remake(
     manifest: Manifest, facts: Mapping[str, Any], meshes: str | os.PathLike[str] | None = None
-) -> Origin:
+) -> Remade:
     """Read, normalise, render and add noise as generation did for the sample with these facts.
 
     Args:
@@ -53,10 +53,10 @@ def remake(
         raise OcnfError("not the mesh that the sample was made of", code="changed", where=item.source,
                         found=f"sha256 {mesh.sha256}", expected=item.sha256)
     vertices, _ = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
-    views = render_item(manifest, vertices, mesh, item.key)
+    views = render_item(manifest, vertices, mesh, key=item.key)
     noise = Noise(manifest.seed, item.key, views.size)
     observed = {variant.name: observe(manifest, views, variant, noise) for variant in manifest.inputs}
-    return Origin(mesh, vertices, views, observed)
+    return Remade(mesh, vertices, views, observed)
 
 
 def _item(facts: Mapping[str, Any]) -> Item:

@@ -9,9 +9,10 @@ from typing import Any
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.plan import PLAN_SCHEMA, Plan
-from ocnf_data.manifest import difference
+from ocnf_data.manifest import manifest_difference
 from ocnf_data.shards.dataset import DATASET, PLAN
 
+_SMALL_PLAN = 64 * 2**20  # bytes; larger ones are read if they are about as large as the plan to be followed
 _ELSEWHERE = "generate into another folder, or put it back as it was"
 # They decide when to give up, not what comes out; and where meshes lie is no part of what they are.
 _FREE_FIELDS = ("source.root", "limits.timeout_s", "limits.failure_threshold")
@@ -32,9 +33,10 @@ def adopt(store: Store, plan: Plan) -> tuple[Plan, list[str]]:
         if store.exists(DATASET) or any(store.list(split) for split in plan.splits):
             raise OcnfError("the folder holds shards but no plan.json, so it cannot be resumed", where=where,
                             code="no_plan", fix="generate into an empty folder")
-        store.put_bytes(PLAN, plan.to_json())
+        with store.writing(PLAN) as path, path.open("wb") as file:
+            file.writelines(plan.pieces())
         return plan, []
-    begun = _read(store.read_bytes(PLAN), where)
+    begun = _read(store.read_at_most(PLAN, max(_SMALL_PLAN, 4 * len(plan.to_json()))), where)
     _compare_manifests(begun, plan, where)
     _compare("libraries", begun.fingerprint["libraries"], plan.fingerprint["libraries"], where,
              "use the versions it was begun with, or generate into another folder")
@@ -64,7 +66,7 @@ def _read(blob: bytes, where: str) -> Plan:
 
 
 def _compare_manifests(begun: Plan, plan: Plan, where: str) -> None:
-    for changed in difference(begun.manifest, plan.manifest, ignore=_FREE_FIELDS):
+    for changed in manifest_difference(begun.manifest, plan.manifest, ignore=_FREE_FIELDS):
         raise OcnfError("the manifest is not the one the folder was begun with", code="changed",
                         where=where, field=changed.field, found=repr(changed.now),
                         expected=repr(changed.before), fix=_ELSEWHERE)

@@ -1,8 +1,8 @@
 """`generate`: from a manifest to a folder of shards, resumable at any moment.
 
-    plan.json -> shards, each with its failures and its index -> failures.jsonl -> dataset.json
+    plan.json -> shards, each with its failures and its index -> failures.jsonl -> catalogues -> dataset.json
 
-Every step leaves whole files, and the order makes each file vouch for those before it: a folder without
+Every step leaves whole files, and the order makes each file a proof of those before it: a folder without
 `dataset.json` is unfinished, a shard without its index is not there.
 """
 
@@ -11,24 +11,27 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.storage import Store
-from ocnf_data.generation.backends import finish
+from ocnf_data.generation.backends import run_tasks
 from ocnf_data.generation.fingerprint import view_fingerprint
+from ocnf_data.generation.outcome import Report
 from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
-from ocnf_data.generation.report import Report
 from ocnf_data.generation.resume import adopt
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
 from ocnf_data.generation.worker import supervisor
-from ocnf_data.generation.worker.supervisor import ChildSetup, Limits
-from ocnf_data.manifest import Manifest, load_manifest
+from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup
+from ocnf_data.manifest import SPLITS, Manifest, load_manifest
+from ocnf_data.shards.catalogue import SplitCatalogue
 from ocnf_data.shards.dataset import (
     DATASET,
     FAILURES,
@@ -39,6 +42,8 @@ from ocnf_data.shards.dataset import (
     load_dataset,
     write_dataset,
 )
+from ocnf_data.shards.index import catalogue_path
+from ocnf_data.shards.writer import file_sha256
 from ocnf_data.views.store import ViewStore
 
 VIEWS = "views"
@@ -57,6 +62,7 @@ def generate(
     *,
     retry_failed: bool = False,
     views: str | os.PathLike[str] | None = None,
+    splits: Sequence[str] = SPLITS,
     progress: bool = True,
 ) -> Report:
     """Make the data set that a manifest defines; in a folder where that was begun, finish it.
@@ -72,9 +78,10 @@ def generate(
         jobs: worker processes, each using one core.
         backend: `loky` (this machine), `dask` or `ray`; the latter two join the cluster that the environment
             variable DASK_SCHEDULER_ADDRESS or RAY_ADDRESS names, and else start `jobs` local workers.
-        retry_failed: make the shards with failures anew.
+        retry_failed: make the shards with failures again.
         views: a folder of views that a run with `views: keep` left (its OUT/views): meshes that are there, as
             this manifest's cameras see them, are not rendered again. What comes out is the same.
+        splits: which of the manifest's splits to make.
         progress: show how far the run is, on standard error.
 
     Raises:
@@ -89,7 +96,7 @@ def generate(
     root = manifest.meshes_root(meshes)
     console = Console(stderr=True, quiet=not progress)
     with exclusive(store):
-        plan, warnings = adopt(store, make_plan(manifest, root))
+        plan, warnings = adopt(store, make_plan(manifest, root, splits))
         if views is not None:
             warnings += _compare_views(views, plan, manifest)
         for warning in warnings:
@@ -100,15 +107,17 @@ def generate(
         if before is not None and any(shard.name not in done for shard in plan.shards) and retry_failed:
             store.remove(DATASET)  # its shards are about to change
             before = None
-        setup = ChildSetup(plan.manifest, None if root is None else str(root),
+        setup = ChildSetup(_without_items(plan.manifest), None if root is None else str(root),
                            views=None if views is None else Store(views).url,
                            keep_views=store.where(VIEWS) if manifest.views == "keep" else None,
                            maker=supervisor.DEFAULT_MAKER)
-        limits = Limits(item_seconds=manifest.limits.timeout_s)
+        limits = ChildLimits(item_seconds=manifest.limits.timeout_s)
         made = _make_missing(store, plan, setup, limits, jobs, backend, console, done)
-        info, failures = _account(store, plan, manifest, done)
+        info, failures, files = _account(store, plan, manifest, done)
         if before is not None:
             _compare(before, info, store)
+        for name, data in files.items():
+            store.put_bytes(name, data)
         write_dataset(store, info)
     return Report(store.url, info.counts.items, info.counts.samples, failures, plan.exclusions, made,
                   sum(entry.size for _, entry in info.shards()), time.perf_counter() - begin,
@@ -139,32 +148,42 @@ def _compare_views(views: str | os.PathLike[str], plan: Plan, manifest: Manifest
         raise OcnfError("no views of any of the items are kept there", code="missing", where=views,
                         field="views", expected="KEY.h5 of the items' keys, as `views: keep` leaves them",
                         fix="give the folder `views` of a data set of the same meshes, or leave it out")
-    with contextlib.suppress(OcnfError):  # a damaged file is rendered anew, and is no reason to stop
+    with contextlib.suppress(OcnfError):  # a damaged file is rendered again, and is no reason to stop
         if kept.fingerprint(keys[0]) == view_fingerprint(manifest):
             return []
-    return [f"the views in {views} are of other cameras or of another placement: all are rendered anew"]
+    return [f"the views in {views} are of other cameras or of another placement: all are rendered again"]
+
+
+def _without_items(manifest: dict[str, Any]) -> dict[str, Any]:
+    """The manifest without its list of meshes: it goes along with every shard, which brings its own items."""
+    source = manifest["source"]
+    if source["kind"] != "list":
+        return manifest
+    split, entries = next((split, entries) for split, entries in source["items"].items() if entries)
+    return {**manifest, "source": {**source, "items": {split: entries[:1]}}}  # none at all would be refused
 
 
 def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, ShardDone]:
     names = {name for folder in (*plan.splits, "failures") for name in store.list(folder)}
     found = [find_done(store, shard, names) for shard in plan.shards]
-    return {one.shard.name: one for one in found if one is not None and not (retry_failed and one.failures)}
+    return {one.name: one for one in found if one is not None and not (retry_failed and one.failures)}
 
 
-def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: Limits, jobs: int, backend: str,
+def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: ChildLimits, jobs: int, backend: str,
                   console: Console, done: dict[str, ShardDone]) -> int:
     """Make the shards that are not in `done` and add them; returns how many items they have."""
     left = [shard for shard in plan.shards if shard.name not in done]
-    n_items = sum(len(shard.items) for shard in left)
+    sizes = {shard.name: len(shard.items) for shard in left}
+    n_items = sum(sizes.values())
     try:
         with live_folder(store, shared=backend == "loky") as live:
             display = ProgressDisplay(n_items, live, console)
             where = None if live is None else str(live)
             tasks = [ShardTask(store.url, shard, setup, limits, where) for shard in left]
-            with display.shown(), contextlib.closing(finish(tasks, jobs, backend)) as finished:
+            with display.shown(), contextlib.closing(run_tasks(tasks, jobs, backend)) as finished:
                 for one in finished:
-                    done[one.shard.name] = one
-                    display.shard_finished(one.shard.name, len(one.shard.items), len(one.failures))
+                    done[one.name] = one
+                    display.shard_finished(one.name, sizes[one.name], len(one.failures))
     except KeyboardInterrupt:
         raise Interrupted(f"stopped with {len(done)} of {len(plan.shards)} shards finished; "
                           "what is finished is kept, and the same command resumes") from None
@@ -173,31 +192,37 @@ def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: Limits, j
     return n_items
 
 
-def _account(store: Store, plan: Plan, manifest: Manifest,
-             done: dict[str, ShardDone]) -> tuple[DatasetInfo, tuple[Failure, ...]]:
-    """Write `failures.jsonl`; what `dataset.json` is to say, and the failures."""
-    in_order = [done[shard.name] for shard in plan.shards]
-    failures = tuple(failure for one in in_order for failure in one.failures)
+def _account(store: Store, plan: Plan, manifest: Manifest, done: dict[str, ShardDone]
+             ) -> tuple[DatasetInfo, tuple[Failure, ...], dict[str, bytes]]:
+    """What `dataset.json` is to say; the failures; and the files to be written before it, by name."""
+    in_order = [(shard, done[shard.name]) for shard in plan.shards]
+    failures = tuple(failure for _, one in in_order for failure in one.failures)
     rows = jsonl([*failures, *plan.exclusions])
-    store.put_bytes(FAILURES, rows)
-    files = [FileEntry.of(PLAN, store.read_bytes(PLAN)), FileEntry.of(FAILURES, rows)]
-    files += [FileEntry.of(failures_path(one.shard), jsonl(one.failures)) for one in in_order if one.failures]
-    samples = sum(one.entry.samples for one in in_order)
+    catalogues = {}
+    for split in plan.splits:
+        contents = (one.contents for shard, one in in_order if shard.split == split)
+        catalogues[catalogue_path(split)] = SplitCatalogue.of(split, contents).to_bytes()
+    files = [FileEntry(name=PLAN, size=store.size(PLAN), sha256=file_sha256(store, PLAN)),
+             FileEntry.of(FAILURES, rows),
+             *(FileEntry.of(failures_path(shard), jsonl(one.failures))
+               for shard, one in in_order if one.failures),
+             *(FileEntry.of(name, data) for name, data in catalogues.items())]
+    samples = sum(one.entry.samples for _, one in in_order)
     counts = Counts(items=len(plan.items) + len(plan.exclusions), samples=samples, failures=len(failures),
                     exclusions=len(plan.exclusions))
-    splits = {split: tuple(one.entry for one in in_order if one.shard.split == split)
+    splits = {split: tuple(one.entry for shard, one in in_order if shard.split == split)
               for split in plan.splits}
     info = DatasetInfo(name=manifest.name, manifest=plan.manifest, fingerprint=plan.fingerprint,
                        counts=counts, splits=splits, files=tuple(files))
-    return info, failures
+    return info, failures, {FAILURES: rows, **catalogues}
 
 
 def _compare(before: DatasetInfo, now: DatasetInfo, store: Store) -> None:
-    """A finished data set that was mended must be the one that `dataset.json` vouches for."""
-    vouched = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
+    """A finished data set that was repaired must be the one that `dataset.json` lists."""
+    listed = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
     for split, entry in now.shards():
-        if vouched.get((split, entry.shard)) != entry.sha256:
-            raise OcnfError("the shard, made again, is not the one that dataset.json vouches for",
+        if listed.get((split, entry.shard)) != entry.sha256:
+            raise OcnfError("the shard, made again, is not the one that dataset.json lists",
                             code="changed", where=store.where(f"{split}/{entry.shard}"), found=entry.sha256,
-                            expected=f"sha256 {vouched.get((split, entry.shard), 'none')}",
+                            expected=f"sha256 {listed.get((split, entry.shard), 'none')}",
                             fix="if an item failed this time, --retry-failed makes its shard once more")

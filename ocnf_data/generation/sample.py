@@ -15,7 +15,7 @@ import numpy as np
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
 from ocnf_data.generation.fingerprint import view_fingerprint
@@ -98,9 +98,7 @@ def make_sample(
         pyramid = DepthPyramid(views)
     for resolution in manifest.resolutions:
         with stages("fuse target"):
-            truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
-            if manifest.target is Target.OCCUPANCY:
-                truth = occupied(truth)
+            truth = fuse_truth(manifest, pyramid, resolution)
         add(target_member(resolution), truth, "target")
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
@@ -111,10 +109,9 @@ def make_sample(
         for encoding in variant.encodings:
             for resolution in manifest.resolutions:
                 with stages("fuse inputs"):
-                    octree = fuse(pyramid, encoding, resolution, manifest.normalise.extent,
-                                  manifest.truncation(resolution))
+                    octree = fuse_input(manifest, pyramid, encoding, resolution)
                 add(input_member(variant.name, encoding, resolution), octree, encoding)
-    facts = _facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
+    facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
     return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
 
 
@@ -124,6 +121,9 @@ def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | N
         return make_procedural(item.category, manifest.seed, item.index, item.split)
     if meshes is None:
         raise OcnfError("the folder of the meshes is not given", code="missing", where=item.source)
+    if item.source != printable(item.source):
+        raise OcnfError("the name is not UTF-8, so no sample can carry it", code="unreadable",
+                        where=item.source, fix="rename the file, and generate into another folder")
     try:
         mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
     except OcnfError as error:
@@ -149,7 +149,7 @@ def _see(manifest: Manifest, item: Item, mesh: Mesh, vertices: F64, normalisatio
     else:
         store = None
         with stages("render"):
-            views = render_item(manifest, vertices, mesh, item.key)
+            views = render_item(manifest, vertices, mesh, key=item.key)
     if keep is not None and store is not keep:
         with stages("keep views"):
             keep.keep(item.key, KeptViews(views, mesh.sha256, fingerprint, normalisation,
@@ -167,13 +167,15 @@ def _find(store: ViewStore, key: str, mesh_sha256: str, fingerprint: str) -> Vie
         return None
 
 
-def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, key: str = "") -> Views:
-    """All views of the rig, without noise, of normalised vertices.
+def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, directions: F64 | None = None,
+                key: str = "") -> Views:
+    """Views without noise of normalised vertices (N, 3).
 
-    `key` is the item's; hand-held paths depend on it.
+    From `directions` (V, 3) or all those of the rig; `key` is the item's, on which hand-held paths depend.
     """
     camera = manifest.camera
-    R, T = _cameras(manifest, vertices, mesh, key)
+    R, T = _cameras(manifest, vertices, mesh, key) if directions is None else look_from(
+        directions, camera.distance)
     depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
     return Views(depth, camera.K, R, T)
 
@@ -192,6 +194,17 @@ def _cameras(manifest: Manifest, vertices: F64, mesh: Mesh, key: str) -> tuple[F
     low, size = used.min(axis=0), np.ptp(used, axis=0)
     first, last = ((low + size * share).tolist() for share in _WITHIN)
     return path_inside(n, manifest.seed, key, first, last, free, margin)
+
+
+def fuse_truth(manifest: Manifest, pyramid: DepthPyramid, resolution: int) -> GridOctree:
+    """The ground truth, out of all views of the rig without noise."""
+    truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
+    return occupied(truth) if manifest.target is Target.OCCUPANCY else truth
+
+
+def fuse_input(manifest: Manifest, pyramid: DepthPyramid, encoding: Encoding, resolution: int) -> GridOctree:
+    """An input, out of the views that it sees."""
+    return fuse(pyramid, encoding, resolution, manifest.normalise.extent, manifest.truncation(resolution))
 
 
 def observe(manifest: Manifest, views: Views, variant: Variant, noise: Noise) -> Views:
@@ -232,7 +245,7 @@ def _noise_facts(variant: Variant) -> dict[str, Any]:
     return {"noise": variant.noise, "strength": variant.strength, "metres": variant.metres}
 
 
-def _facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
+def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
            leaf_counts: dict[str, int]) -> dict[str, Any]:
     """The sample's `json` member. Lengths are in metres, pixels where they say so."""
     camera = manifest.camera

@@ -7,7 +7,6 @@ shard that is done accounts for every item it was planned with, and a killed run
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -16,10 +15,13 @@ from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.progress import LiveCount
 from ocnf_data.generation.records import Failure, Item, Sample, ShardPlan
-from ocnf_data.generation.worker.supervisor import ChildSetup, Limits, supervisor_of_this_thread
+from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup, supervisor_of_this_thread
+from ocnf_data.shards.catalogue import ShardContents
 from ocnf_data.shards.dataset import ShardEntry
-from ocnf_data.shards.index import ShardIndex, index_path
+from ocnf_data.shards.index import index_path
 from ocnf_data.shards.writer import ShardWriter, find_complete
+
+_MAX_FAILURES = 256 * 2**20  # bytes of one shard's failure rows
 
 
 @dataclass(frozen=True)
@@ -36,18 +38,25 @@ class ShardTask:
     out: str
     shard: ShardPlan
     setup: ChildSetup
-    limits: Limits
+    limits: ChildLimits
     live: str | None = None
 
 
 @dataclass(frozen=True)
 class ShardDone:
-    """A shard that is in its place, with its index: what the driver needs of it."""
+    """A shard that is in its place, with its index: what the driver needs of it.
 
-    shard: ShardPlan
+    Attributes:
+        name: `train-000007`.
+        entry: what `dataset.json` is to say of it.
+        contents: what the split's catalogue is to say of it.
+        failures: of its items.
+    """
+
+    name: str
     entry: ShardEntry
+    contents: ShardContents
     failures: tuple[Failure, ...]
-    seconds: float = 0.0
 
 
 def make_shard(task: ShardTask) -> ShardDone:
@@ -56,7 +65,6 @@ def make_shard(task: ShardTask) -> ShardDone:
     Raises:
         OcnfError: the shard cannot be written, or the machine is in trouble; nothing is published then.
     """
-    begin = time.perf_counter()
     store, shard = Store(task.out), task.shard
     supervisor = supervisor_of_this_thread(task.setup, task.limits)
     failures: list[Failure] = []
@@ -67,7 +75,7 @@ def make_shard(task: ShardTask) -> ShardDone:
                 failures.append(failure)
             live.count(failed=failure is not None)
         _put_failures(store, shard, failures)
-    return ShardDone(shard, writer.entry, tuple(failures), time.perf_counter() - begin)
+    return ShardDone(shard.name, writer.entry, ShardContents.of(writer.index), tuple(failures))
 
 
 def find_done(store: Store, shard: ShardPlan, names: Collection[str]) -> ShardDone | None:
@@ -81,15 +89,14 @@ def find_done(store: Store, shard: ShardPlan, names: Collection[str]) -> ShardDo
     index_name = index_path(shard.split, f"shard-{shard.number:06d}.tar")
     if index_name not in names:
         return None
-    entry = find_complete(store, shard.split, shard.number)
-    if entry is None:
+    index = find_complete(store, shard.split, shard.number)
+    if index is None:
         return None
     failures = _read_failures(store, shard) if failures_path(shard) in names else []
-    samples = ShardIndex.from_json(store.read_bytes(index_name), store.where(index_name)).samples
-    accounted = [sample.key for sample in samples] + [failure.item for failure in failures]
+    accounted = [sample.key for sample in index.samples] + [failure.item for failure in failures]
     if sorted(accounted) != sorted(item.key for item in shard.items):
         return None
-    return ShardDone(shard, entry, tuple(failures))
+    return ShardDone(shard.name, ShardEntry.of(index), ShardContents.of(index), tuple(failures))
 
 
 def failures_path(shard: ShardPlan) -> str:
@@ -120,5 +127,5 @@ def _put_failures(store: Store, shard: ShardPlan, failures: Sequence[Failure]) -
 
 
 def _read_failures(store: Store, shard: ShardPlan) -> list[Failure]:
-    lines = store.read_bytes(failures_path(shard)).splitlines()
+    lines = store.read_at_most(failures_path(shard), _MAX_FAILURES).splitlines()
     return [Failure.from_json(json.loads(line)) for line in lines]

@@ -12,6 +12,7 @@ class Augment(StrEnum):
     """The group that is drawn from. Octrees are moved exactly: structure and values, no resampling."""
 
     NONE = "none"
+    """Samples as they are stored."""
     ROTATIONS = "rotations"
     """The 24 rotations that carry the grid's axes onto one another."""
     FLIPS = "flips"

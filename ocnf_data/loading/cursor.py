@@ -5,7 +5,7 @@ with workers each of them calls `iter` on its own copy, in new processes every e
 old ones. The copies have to agree on the epoch without a word from the main process. So there is one small
 table in shared memory, under a lock. What identifies an iteration of a `DataLoader` is, from within,
 
-    token       base seed of the workers, drawn by the DataLoader anew each time it starts processes
+    token       base seed of the workers, drawn by the DataLoader again each time it starts processes
     round       how many iterations this process has begun (persistent workers begin one each epoch)
     generation  how often `set` had been called when the process was made (tells iterations apart where the
                 user seeds torch alike before each of them, so that tokens are equal)
@@ -108,7 +108,7 @@ class Cursor:
         """((4,) next epoch, next step, resumed, iterations so far; (_ROWS, _COLUMNS) the iterations)."""
         if not self._lock.acquire(timeout=_PATIENCE):
             raise OcnfError("a worker died while it held the data set's lock", where="ShardDataset",
-                            fix="make the ShardDataset anew and load the last state")
+                            fix="make the ShardDataset again and load the last state")
         try:
             table = np.frombuffer(self._memory, np.int64)
             yield table[:4], table[4:].reshape(_ROWS, _COLUMNS)

@@ -8,50 +8,44 @@
 ...         batch.inputs[64].trees, batch.inputs[64].to_float(), batch.targets[64].to_float()
 ...         state = dataset.state_dict(batch)           # JSON: resumes at the batch after this one
 
-Batches are formed here, so the `DataLoader` gets `batch_size=None`. Worker w of W makes the batches
-s + w, s + w + W, ... from the start s on, and the `DataLoader` takes one of each in turn: they arrive in the
-same order for any number of workers (as long as its `in_order` is left on).
+Batches are formed here (see `loading.epochs`), so the `DataLoader` gets `batch_size=None`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-import torch.distributed
-from torch.utils.data import IterableDataset, get_worker_info
-
 from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json, sha256_hex
+from ocnf_data.loading.arguments import (
+    OnError,
+    bad_setting,
+    fraction,
+    names,
+    one_of,
+    parse_resolutions,
+    whole,
+)
 from ocnf_data.loading.assemble import Assembler, Lost
 from ocnf_data.loading.augment import Augment
 from ocnf_data.loading.batch import Batch, Octrees, make_batch
 from ocnf_data.loading.catalogue import Request, open_catalogue
-from ocnf_data.loading.cursor import Cursor, Identity, Position
+from ocnf_data.loading.epochs import EpochDataset, place_in_world
 from ocnf_data.loading.order import Partition, Uneven, epoch_order
-from ocnf_data.loading.settings import (
-    OnError,
-    bad_setting,
-    names,
-    one_of,
-    place_among_ranks,
-    share,
-    sides,
-    whole,
-)
-from ocnf_data.loading.state import make_state, read_state
+from ocnf_data.loading.shard_supply import ShardSupply
 
 __all__ = ["Batch", "Lost", "Octrees", "ShardDataset"]
 
 
-class ShardDataset(IterableDataset[Batch]):
+class ShardDataset(EpochDataset):
     """Batches out of one or more data sets that `generate` made.
 
     Args:
         urls: folder or fsspec URL of a data set, or several of them, taken as one.
         split: `train`, `val` or `test`.
-        resolutions: which of them, voxels a side; only these are read and decoded.
+        resolutions: which of them, voxels along each axis; only these are read and decoded.
         encoding: of the inputs (`occupancy`, `tsdf`, `tdf_occupancy`, `histogram`); None for no inputs.
         variant: name of the inputs in the manifest; None for the only one that has the encoding.
         seed: of order and augmentation; 0 is a seed like any other.
@@ -79,7 +73,7 @@ class ShardDataset(IterableDataset[Batch]):
     Raises:
         OcnfError: a setting is impossible, or the data sets do not have what is asked for.
 
-    *Errors in workers.* torch raises them anew in the main process from their text, behind the worker's
+    *Errors in workers.* torch raises them again in the main process from their text, behind the worker's
     traceback: the sentence comes last, and `code` and `where` are lost.
 
     *Epochs.* Each `iter(loader)` (or `iter(dataset)`) is the next epoch, from 0 on, or from where `set_epoch`
@@ -111,7 +105,7 @@ class ShardDataset(IterableDataset[Batch]):
     ) -> None:
         request = Request(
             split=split,
-            resolutions=sides(resolutions),
+            resolutions=parse_resolutions(resolutions),
             encoding=None if encoding is None else one_of(Encoding, "encoding", encoding),
             variant=variant,
             categories=None if categories is None else names("categories", categories),
@@ -125,38 +119,17 @@ class ShardDataset(IterableDataset[Batch]):
         tail = one_of(Uneven, "uneven", uneven)
         if drop_last and tail is Uneven.EXACT:
             raise bad_setting("an exact epoch drops nothing", "drop_last", True, "False")
-        running = None
-        if torch.distributed.is_available() and torch.distributed.is_initialized():
-            running = torch.distributed.get_rank(), torch.distributed.get_world_size()
-        rank, world_size = place_among_ranks(rank, world_size, running)
+        rank, world_size = place_in_world(rank, world_size)
         self._augment = one_of(Augment, "augment", augment)
         policy = one_of(OnError, "on_error", on_error)
-        bad_share = share("max_bad_fraction", max_bad_fraction)
+        bad_share = fraction("max_bad_fraction", max_bad_fraction)
         batch_size = whole("batch_size", batch_size, least=1)
 
         self._catalogue = open_catalogue(names("urls", urls), request)
-        self._partition = Partition(len(self._catalogue), batch_size, rank, world_size,
-                                    Uneven.DROP if drop_last else tail)
+        super().__init__(Partition(len(self._catalogue), batch_size, rank, world_size,
+                                   Uneven.DROP if drop_last else tail))
         self._assembler = Assembler(self._catalogue, self._partition, self._seed, self._augment, policy,
                                     bad_share)
-        self._cursor = Cursor()
-        self._rounds = 0
-
-    def __len__(self) -> int:
-        """Batches of this rank in a whole epoch (an epoch resumed at step s has s fewer)."""
-        return self._partition.n_batches
-
-    def __iter__(self) -> Iterator[Batch]:
-        # Not a generator itself: the epoch is claimed now, not at the first batch.
-        worker = get_worker_info()
-        if worker is None:
-            position, number, workers = self._cursor.claim(), 0, 1
-        else:
-            number, workers = worker.id, worker.num_workers
-            identity = Identity(worker.seed - worker.id, self._rounds, self._cursor.generation, workers)
-            position = self._cursor.claim(number, identity)
-        self._rounds += 1
-        return self._batches(position.epoch, range(position.step + number, len(self), workers))
 
     def _batches(self, epoch: int, steps: range) -> Iterator[Batch]:
         catalogue = self._catalogue
@@ -164,48 +137,7 @@ class ShardDataset(IterableDataset[Batch]):
         for step in steps:
             yield make_batch(self._assembler.assemble(order, epoch, step), catalogue.request, epoch, step)
 
-    # ---- epochs and states
-
-    @property
-    def epoch(self) -> int:
-        """The epoch that the next `iter` begins."""
-        return self._cursor.peek()[0].epoch
-
-    def set_epoch(self, epoch: int) -> None:
-        """Let the next `iter` begin this epoch; a state just loaded that lies in it keeps its place."""
-        epoch = whole("epoch", epoch, least=0)
-        position, resumed = self._cursor.peek()
-        if not (resumed and position.epoch == epoch):
-            self._cursor.set(Position(epoch, 0))
-
-    def state_dict(self, batch: Batch | None = None) -> dict[str, Any]:
-        """The state after a batch, whatever was prefetched beyond it; before the next `iter` if None. JSON.
-
-        All ranks have the same state after the same step, except with uneven="exact", where each has its own.
-        """
-        if batch is None:
-            position = self._cursor.peek()[0]
-        elif batch.step + 1 < len(self):
-            position = Position(batch.epoch, batch.step + 1)
-        else:
-            position = Position(batch.epoch + 1, 0)
-        return make_state(position, self._order())
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Let the next `iter` begin where the state was taken, with any number of workers.
-
-        Raises:
-            OcnfError: code `state`; the first field that does not fit, with both values.
-        """
-        position = read_state(state, self._order())
-        if position.step >= len(self):
-            raise OcnfError("the state lies behind the end of the epoch", code="state",
-                            where="the loader's state", field="step", found=position.step,
-                            expected=f"0 to {len(self) - 1}")
-        self._cursor.set(position, resumed=True)
-
     def _order(self) -> dict[str, Any]:
-        """All that batch i of an epoch depends on."""
         request, partition = self._catalogue.request, self._partition
         order: dict[str, Any] = {
             "datasets": list(self._catalogue.datasets),
@@ -228,12 +160,22 @@ class ShardDataset(IterableDataset[Batch]):
             order["rank"] = partition.rank
         return order
 
+    def supply(self) -> ShardSupply:
+        """Its samples by number, as a part of a `MixtureDataset`."""
+        return ShardSupply(self._catalogue, self._seed, self._buffer, self._shuffle, self.checksum)
+
     # ---- what is in it
+
+    @property
+    def checksum(self) -> str:
+        """That of the data set, as its `dataset.json` has it; of several, the SHA-256 of theirs."""
+        first, *others = self._catalogue.datasets
+        return sha256_hex(canonical_json([first, *others])) if others else first
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Keys of all samples, of all ranks, in the data sets' own order."""
-        return self._catalogue.keys
+        return tuple(self._catalogue.keys)
 
     @property
     def manifest(self) -> dict[str, Any]:

@@ -25,8 +25,6 @@ import numpy as np
 from ocnf_data.arrays import I64, U64, Bool
 from ocnf_data.errors import OcnfError
 
-Indices = I64
-
 
 class Uneven(StrEnum):
     """What becomes of the last samples where `world * batch` does not divide their number."""
@@ -39,8 +37,8 @@ class Uneven(StrEnum):
     """Each sample exactly once; some ranks get one batch less, one rank a shorter last batch."""
 
 
-def epoch_order(shard_sizes: Sequence[int], seed: int, epoch: int, buffer: int,
-                shuffle: bool = True) -> Indices:
+def epoch_order(shard_sizes: Sequence[int] | I64, seed: int, epoch: int, buffer: int,
+                shuffle: bool = True) -> I64:
     """The samples of all shards in the order of an epoch.
 
     Args:
@@ -117,7 +115,7 @@ class Partition:
             return -(-self.n_samples // stride)
         return max(0, -(-(self.n_samples - self.rank * self.batch_size) // stride))
 
-    def places(self, step: int) -> tuple[Indices, Bool]:
+    def places(self, step: int) -> tuple[I64, Bool]:
         """Batch `step` (0 .. n_batches - 1) of this rank.
 
         Returns:

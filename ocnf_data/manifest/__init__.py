@@ -1,11 +1,12 @@
 """What a data set is: a typed YAML manifest, and which meshes make up its splits.
 
-A manifest's `source` has five kinds: `shapes` and `scenes` (procedural, no files), `modelnet`
-(`ROOT/category/folder/*.off`), `folder` (every mesh anywhere below a folder) and `list` (explicit paths).
-Each gives its `entries` in a fixed order; none may name the same mesh twice, in one split or in two.
+A manifest's `source` has six kinds: `shapes` and `scenes` (procedural, no files), `modelnet`
+(`ROOT/category/folder/*.off`), `folder` (every mesh anywhere below a folder), `list` (explicit paths) and
+`mixture` (several of these, with weights). Each gives its `entries` in a fixed order; none may name the same
+mesh twice, in one split or in two.
 """
 
 from ocnf_data.manifest.entries import SPLITS, Entry
-from ocnf_data.manifest.schema import Manifest, Target, Variant, difference, load_manifest
+from ocnf_data.manifest.schema import Manifest, Target, Variant, load_manifest, manifest_difference
 
-__all__ = ["SPLITS", "Entry", "Manifest", "Target", "Variant", "difference", "load_manifest"]
+__all__ = ["SPLITS", "Entry", "Manifest", "Target", "Variant", "load_manifest", "manifest_difference"]

@@ -19,8 +19,11 @@ class ListEntry(Strict):
     """One mesh file; a bare string is its path."""
 
     path: Annotated[str, Field(min_length=1)]
+    """Of the mesh file, relative to the root."""
     category: Annotated[str, Field(min_length=1)] = "mesh"
+    """Its category, by which the loader selects and the evaluation groups."""
     key: str | None = None
+    """Name of the sample; letters, digits, `_` and `-`, each once. None derives it from the path."""
 
     @model_validator(mode="after")
     def _plain_key(self) -> ListEntry:
@@ -65,9 +68,11 @@ class ListSource(Strict):
 
     kind: Literal["list"]
     root: str | None = None
+    """The folder that the paths are relative to, itself relative to the manifest's folder, which is
+    also the default; `--meshes` on the command line takes precedence."""
     items: ListItems
 
     def entries(self, root: Path | None = None, seed: int = 0) -> list[Entry]:
-        """As listed."""
+        """The entries of all splits, in the order of the lists."""
         return [Entry(split, entry.category, posixpath.normpath(entry.path), key=entry.key)
                 for split in SPLITS for entry in getattr(self.items, split)]

@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import storage_errors
 from ocnf_data.files.validation import Int, Strict, refused
-from ocnf_data.manifest.entries import SPLITS, Categories, Entry, given
-from ocnf_data.meshes.listing import list_modelnet
+from ocnf_data.manifest.entries import HIDDEN, SPLITS, Categories, Entry, given
+from ocnf_data.meshes.listing import is_hidden, list_hidden, list_modelnet
 
 
 def _count(value: Any) -> int | Literal["all"]:
@@ -26,8 +26,11 @@ class Slice(Strict):
     """`count` of the sorted files of `category/folder` after the first `skip`, or as many as there are."""
 
     folder: str
+    """Folder inside each category's folder; `.` is the category's own."""
     skip: Annotated[Int, Field(ge=0)] = 0
+    """How many of the sorted files are passed over."""
     count: Annotated[int | Literal["all"], BeforeValidator(_count)]
+    """How many are taken, from 0 on, or `all`."""
 
     @model_validator(mode="after")
     def _one_folder(self) -> Slice:
@@ -82,8 +85,10 @@ class ModelNetSource(Strict):
 
     kind: Literal["modelnet"]
     root: str | None = None
-    """Relative to the manifest; `--meshes` goes before it."""
+    """The folder that the paths are relative to, itself relative to the manifest's folder; `--meshes` on the
+    command line takes precedence."""
     categories: Categories
+    """Folders below the root: a list of names or `all`, or one of these for each split."""
     counts: ModelNetCounts
 
     @model_validator(mode="after")
@@ -108,16 +113,19 @@ class ModelNetSource(Strict):
         return first == "all" or second == "all" or bool(set(first) & set(second))
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """By split, category as listed, file name."""
+        """By split, category as listed, file name; then the hidden files of the folders that were listed."""
         base = given(root)
         found = []
+        hidden: dict[str, Entry] = {}  # by path, as two splits may share a folder
         for split in SPLITS:
             chosen: Slice = getattr(self.counts, split)
             if chosen.count != 0:
                 for category in self._names(base, split):
                     files = list_modelnet(base, category, chosen.folder)
                     found += [Entry(split, category, posixpath.normpath(path)) for path in chosen.of(files)]
-        return found
+                    for path in map(posixpath.normpath, list_hidden(base, category, chosen.folder)):
+                        hidden.setdefault(path, Entry(split, category, path, excluded=HIDDEN))
+        return [*found, *hidden.values()]
 
     def _names(self, root: Path, split: str) -> Sequence[str]:
         chosen = self.categories[split]
@@ -126,7 +134,7 @@ class ModelNetSource(Strict):
         folder = getattr(self.counts, split).folder
         with storage_errors(root):
             names = sorted(p.name for p in root.iterdir()
-                           if not p.name.startswith(".") and (p / folder).is_dir())
+                           if not is_hidden(p.name) and (p / folder).is_dir())
         if not names:
             raise OcnfError("no category found", code="empty", where=root, field="source.categories",
                             expected=f"folders CATEGORY/{folder} with meshes")

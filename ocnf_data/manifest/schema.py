@@ -1,11 +1,11 @@
 """What a data set is: a typed, validated manifest, written as YAML.
 
->>> manifest = load_manifest("manifests/demo.yaml")                       # doctest: +SKIP
->>> manifest.inputs[0].views, manifest.truncation(256)                    # doctest: +SKIP
+>>> manifest = load_manifest("manifests/demo.yaml")
+>>> manifest.inputs[0].views, round(manifest.truncation(256), 6)
 (4, 0.025)
 
 Every field but `name`, `source` and `inputs` has a default, the paper's setting. `to_dict` fills them all in:
-that is what a data set records about itself, and what `difference` compares before a run resumes.
+that is what a data set records about itself, and what `manifest_difference` compares before a run resumes.
 """
 
 from __future__ import annotations
@@ -38,9 +38,11 @@ from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refuse_repea
 from ocnf_data.manifest.entries import no_root
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
+from ocnf_data.manifest.mixture import MixtureSource
 from ocnf_data.manifest.modelnet import ModelNetSource
 from ocnf_data.manifest.scenes import ScenesSource
 from ocnf_data.manifest.shapes import ShapesSource
+from ocnf_data.manifest.synthesis import Synthesis
 from ocnf_data.views.rigs import intrinsics, rig_from_name, view_subset
 from ocnf_data.views.trajectories import path_from_name
 
@@ -59,11 +61,12 @@ class Target(StrEnum):
 
 
 class Normalise(Strict):
-    """How a mesh is placed: its bounding box centred, its longest side `(1 - padding) * extent`."""
+    """How a mesh is placed: its bounding box centred, its longest edge `(1 - padding) * extent`."""
 
     extent: Annotated[Real, Field(gt=0, le=1e3)] = 3.0
     """Side of the grid's cube in metres."""
     padding: Annotated[Real, Field(ge=0, lt=1)] = 0.05
+    """Share of the extent that stays empty, half of it at either end of the longest side."""
 
     @property
     def radius(self) -> float:
@@ -80,14 +83,24 @@ class Camera(Strict):
     """
 
     rig: str = "published80"
+    """`published80` (the 80 directions of the paper's published code), `icosphereN` (20 * 4^N directions, N
+    up to 5), `fibonacciN` (N directions, up to 20480), or a hand-held path of N views, up to 2000, another
+    for each item: `aroundN`, or `insideN` the mesh's box."""
     width: Annotated[Int, Field(ge=1, le=8192)] = 640
+    """Columns of the image, pixels."""
     height: Annotated[Int, Field(ge=1, le=8192)] = 480
+    """Rows of the image, pixels."""
     fx: Annotated[Real, Field(gt=0)] = 351.0
+    """Focal length along x, pixels."""
     fy: Annotated[Real, Field(gt=0)] = 351.0
+    """Focal length along y, pixels."""
     cx: Real = 320.0
+    """Column of the principal point, pixels; the centre of the first pixel is 0."""
     cy: Real = 240.0
+    """Row of the principal point, pixels; the centre of the first pixel is 0."""
     distance: Annotated[Real, Field(gt=0)] = 3.0
-    """From the origin to each camera, metres."""
+    """From the origin to each camera, metres; more than half the diagonal of the largest bounding box, which
+    is 2.468 m for the default extent and padding."""
 
     @field_validator("rig")
     @classmethod
@@ -124,7 +137,11 @@ class Variant(Strict):
     """One kind of input: `views` of the rig, with noise, in one or more encodings at every resolution."""
 
     name: str
+    """The first part of the names of its octrees; letters, digits and `_`, each name
+    once, not `target`."""
     views: Annotated[Int, Field(ge=1)]
+    """How many views of the rig it sees, at most all; of N views
+    `linspace(0, N - 1, views)`, cut to integers."""
     sigma: Annotated[Real, Field(ge=0, le=1)] = 0.0
     """Standard deviation of the depth noise as a fraction of the depth, of `park`."""
     noise: Literal["park", "kinect"] = "park"
@@ -134,6 +151,7 @@ class Variant(Strict):
     metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
     """Of `kinect`: real metres that a metre of the grid stands for."""
     encodings: Annotated[tuple[Encoding, ...], NotEmpty]
+    """How the views are written into octrees, each encoding at most once."""
 
     @model_validator(mode="after")
     def _of_one_noise(self) -> Variant:
@@ -182,8 +200,9 @@ class Limits(Strict):
     timeout_s: Annotated[Real, Field(gt=0)] = 300.0
     """Seconds of wall time an item may take."""
     max_faces: Annotated[Int, Field(ge=1)] = 5_000_000
+    """Most triangles of a mesh that is read."""
     max_bytes: Annotated[Int, Field(ge=1)] = 256 * 2**20
-    """Largest mesh file that is read."""
+    """Largest mesh file that is read, bytes."""
     failure_threshold: Annotated[Real, Field(ge=0, le=1)] = 0.05
     """Share of failed items above which the run's exit status is not 0."""
 
@@ -199,22 +218,33 @@ class Manifest(Strict):
     """A data set's definition. Two manifests are equal when they define the same data set."""
 
     schema_version: Annotated[int, Field(alias="schema"), BeforeValidator(_known_schema)] = SCHEMA
+    """Version of the manifest's format."""
     name: str
+    """Name of the data set; letters, digits, `_`, `-` and `.`, not `-` or `.` at first."""
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
-    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | ScenesSource,
+    """Of everything that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
+    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource
+                      | ScenesSource,
                       Field(discriminator="kind")]
+    """The meshes and their splits; `kind` says which of the six."""
     normalise: Normalise = Normalise()
     camera: Camera = Camera()
     renderer: Literal["raster", "pyrender"] = "raster"
+    """`raster` runs on the CPU and is the more exact; `pyrender` draws with OpenGL (extra `gl`)."""
     resolutions: Annotated[tuple[Int, ...], NotEmpty] = (64, 128, 256)
+    """Voxels along each side of the cube, ascending; multiples of 8 from 8 to 1024."""
     truncation_voxels: Annotated[Real, Field(gt=0, le=64)] = 32 / 15
     """Truncation distance tau on each side of the surface, voxels; 32 / 15 is 0.025 m at 256^3 over 3 m."""
     target: Target = Target.TSDF
+    """The ground truth, fused from all views of the rig without noise."""
     inputs: Annotated[tuple[Variant, ...], NotEmpty]
+    """What a network gets to see: one or more variants."""
     shards: Shards = Shards()
     views: Literal["drop", "keep"] = "drop"
     """`keep`: the rendered depth stays in OUT/views, and later runs need not render again."""
     limits: Limits = Limits()
+    synthesis: Synthesis | None = None
+    """What `SynthesisDataset` draws for every sample; no part of what `generate` makes."""
 
     _folder: Path | None = PrivateAttr(default=None)
 
@@ -250,6 +280,12 @@ class Manifest(Strict):
             if variant.views > n:
                 raise refused(f"the rig {self.camera.rig} has fewer views", at=f"inputs[{i}].views",
                               found=variant.views, expected=f"1 to {n}")
+        if self.synthesis is not None and self.synthesis.views[1] > n:
+            raise refused(f"the rig {self.camera.rig} has fewer views", at="synthesis.views[1]",
+                          found=self.synthesis.views[1], expected=f"1 to {n}")
+        if self.synthesis is not None and self.camera.path is not None:
+            raise refused("a hand-held path cannot be drawn from", at="camera.rig", found=self.camera.rig,
+                          expected="a rig of directions where there is synthesis")
         if self.camera.path is None and self.camera.distance <= self.normalise.radius:
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
@@ -263,7 +299,10 @@ class Manifest(Strict):
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved manifest, defaults filled in, in JSON's types."""
-        return self.model_dump(mode="json", by_alias=True)
+        fields = self.model_dump(mode="json", by_alias=True)
+        if self.synthesis is None:  # so data sets without it keep the bytes that they had before it existed
+            del fields["synthesis"]
+        return fields
 
     def canonical_json(self) -> str:
         """`to_dict` as JSON with sorted keys and no spaces: equal for equal manifests, so fit for hashing."""
@@ -292,7 +331,8 @@ class Manifest(Strict):
         Raises:
             OcnfError: neither is given.
         """
-        if isinstance(self.source, ShapesSource | ScenesSource):
+        if isinstance(self.source, ShapesSource | ScenesSource) or \
+                (isinstance(self.source, MixtureSource) and not self.source.reads_files):
             return None
         if override is not None:
             return Path(override).expanduser().absolute()
@@ -334,7 +374,7 @@ class _Absent:
 ABSENT = _Absent()
 
 
-def difference(before: Manifest | Mapping[str, Any], now: Manifest | Mapping[str, Any],
+def manifest_difference(before: Manifest | Mapping[str, Any], now: Manifest | Mapping[str, Any],
                ignore: Sequence[str] = ("source.root",)) -> list[Difference]:
     """The fields in which two manifests (or what `to_dict` gave for them) differ.
 

@@ -25,6 +25,7 @@ class ShapesSource(Strict):
 
     kind: Literal["shapes"]
     categories: Categories
+    """Kinds of shapes: a list of names or `all`, or one of these for each split."""
     counts: ShapeCounts
 
     @model_validator(mode="after")
@@ -32,11 +33,11 @@ class ShapesSource(Strict):
         from ocnf_data.shapes import CATEGORIES
 
         for split in SPLITS:
-            for i, name in enumerate(self._names(split)):
+            for i, name in enumerate(self.names(split)):
                 if name not in CATEGORIES:
                     raise refused("unknown shape", at=f".categories.{split}[{i}]", found=name,
                                   expected=f"one of {', '.join(CATEGORIES)}")
-            if getattr(self.counts, split) and not self._names(split):
+            if getattr(self.counts, split) and not self.names(split):
                 raise refused("no categories for a split that has shapes", at=f".categories.{split}")
         if not any(getattr(self.counts, split) for split in SPLITS):
             raise refused("the data set would be empty", at=".counts", expected="a count above 0")
@@ -45,10 +46,11 @@ class ShapesSource(Strict):
     def entries(self, root: Path | None = None, seed: int = 0) -> list[Entry]:
         """Shape number i of a split is of category i modulo their number."""
         return [Entry(split, names[i % len(names)], index=i // len(names))
-                for split in SPLITS for names in [self._names(split)]
+                for split in SPLITS for names in [self.names(split)]
                 for i in range(getattr(self.counts, split))]
 
-    def _names(self, split: str) -> Sequence[str]:
+    def names(self, split: str) -> Sequence[str]:
+        """The categories of a split."""
         from ocnf_data.shapes import CATEGORIES
 
         chosen = self.categories[split]

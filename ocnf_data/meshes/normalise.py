@@ -9,12 +9,12 @@ from ocnf_data.views.normalisation import Normalisation
 
 
 def normalise(mesh: Mesh, extent: float = 3.0, padding: float = 0.05) -> tuple[F64, Normalisation]:
-    """Vertices (N, 3) in metres: the bounding box of the referenced ones centred, its longest side scaled.
+    """Vertices (N, 3) in metres: the bounding box of the referenced ones centred, its longest edge scaled.
 
     Args:
         mesh: what to scale.
-        extent: side of the cube in metres.
-        padding: share of it that stays free; the longest side becomes `extent * (1 - padding)`.
+        extent: edge length of the cube in metres.
+        padding: share of it that stays free; the longest edge becomes `extent * (1 - padding)`.
 
     Raises:
         OcnfError: `degenerate` for a mesh without extent.

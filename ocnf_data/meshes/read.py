@@ -16,7 +16,7 @@ from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.meshes.formats.polygons import check_face_count
 from ocnf_data.meshes.topology import MeshStats, bounding_box, mesh_stats
 
-MAX_BYTES = 256 * 2**20
+MAX_MESH_BYTES = 256 * 2**20
 MAX_FACES = 5_000_000
 
 
@@ -37,7 +37,8 @@ class Mesh:
     stats: MeshStats
 
 
-def read_mesh(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES, max_faces: int = MAX_FACES) -> Mesh:
+def read_mesh(path: str | os.PathLike[str], max_bytes: int = MAX_MESH_BYTES,
+              max_faces: int = MAX_FACES) -> Mesh:
     """Read an OFF, OBJ, PLY, STL or GLB file; polygons become fans of triangles.
 
     The file is read once, so that the checksum is that of the bytes that were parsed, and no other file is

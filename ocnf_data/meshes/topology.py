@@ -88,7 +88,7 @@ def bounding_box(vertices: F64, faces: I64, where: str) -> tuple[F64, F64]:
     """Lowest and highest corner of the vertices that faces refer to.
 
     Raises:
-        OcnfError: `degenerate` where the longest side is zero, or too small or large to scale in float64.
+        OcnfError: `degenerate` where the longest edge is zero, or too small or large to scale in float64.
     """
     used = vertices[np.unique(faces)]
     low, high = used.min(axis=0), used.max(axis=0)
@@ -96,5 +96,5 @@ def bounding_box(vertices: F64, faces: I64, where: str) -> tuple[F64, F64]:
         longest = float((high - low).max())
     if not 1e-150 < longest < 1e150:
         raise OcnfError("the mesh has no usable extent", code="degenerate", where=where, found=longest,
-                        expected="a bounding box with a longest side")
+                        expected="a bounding box with a longest edge")
     return low, high

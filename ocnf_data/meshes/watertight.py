@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.interrupts import ignore_interrupts, starting_processes
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import fuse_tsdf
 from ocnf_data.meshes.formats import FORMATS
@@ -37,9 +38,9 @@ def make_watertight(vertices: npt.ArrayLike, faces: npt.ArrayLike, resolution: i
     """A closed surface around a mesh, in the mesh's own coordinates.
 
     Args:
-        vertices: (N, 3) in any unit; the longest side of their box may have any length.
+        vertices: (N, 3) in any unit; the longest edge of their box may have any length.
         faces: (M, 3) indices.
-        resolution: voxels along the cube, a multiple of 8; the box's longest side takes 95 % of them.
+        resolution: voxels along the cube, a multiple of 8; the box's longest edge takes 95 % of them.
         level: how far outside of the measured surface to cut, in units of tau = 2.13 voxels. The default,
             half a voxel, keeps sheets and wires whole; 0 moves nothing, and tears them.
 
@@ -58,11 +59,11 @@ def make_watertight(vertices: npt.ArrayLike, faces: npt.ArrayLike, resolution: i
     R, T = rigs.look_from(rigs.published80(), _DISTANCE)
     depth = render_depth(cube.apply(points), triangles, K, R, T, size=size)
     octree = fuse_tsdf(Views(depth, K, R, T), resolution, _EXTENT)
-    surface, sides = octree_surface(octree, _EXTENT, level)
-    if len(sides) == 0:
+    surface, surface_faces = octree_surface(octree, _EXTENT, level)
+    if len(surface_faces) == 0:
         raise OcnfError("nothing is thick enough to be solid at this resolution", code="empty",
                         found=resolution, fix="raise the resolution or the level")
-    return cube.invert(surface), sides
+    return cube.invert(surface), surface_faces
 
 
 @dataclass
@@ -143,12 +144,28 @@ def _run(tasks: list[tuple[Path, Path]], resolution: int, level: float,
         return
     try:
         import joblib
+        from joblib.externals.loky import get_reusable_executor
     except ImportError as error:
         raise OcnfError("several jobs need joblib", code="missing_extra",
                         fix="pip install 'ocnf[generate]'") from error
     # loky gives each worker its share of the cores' threads.
     parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)), backend="loky", return_as="generator_unordered")
-    yield from parallel(joblib.delayed(_one)(path, target, resolution, level) for path, target in tasks)
+    finished = False
+    try:
+        with starting_processes():
+            results = parallel(joblib.delayed(_in_worker)(path, target, resolution, level)
+                               for path, target in tasks)
+        yield from results
+        finished = True
+    finally:
+        if not finished:
+            get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+
+
+def _in_worker(path: Path, target: Path, resolution: int,
+               level: float) -> tuple[Path, Path, OcnfError | None]:
+    ignore_interrupts()
+    return _one(path, target, resolution, level)
 
 
 def _one(path: Path, target: Path, resolution: int, level: float) -> tuple[Path, Path, OcnfError | None]:

@@ -22,12 +22,11 @@ from numba import njit
 from ocnf_data.arrays import F32, I16, I64, U64
 
 TREE_WIDTH = 8
-"""Voxels along the side of a tree."""
+"""Voxels along each axis of a tree."""
 MAX_LEAVES = 512
 """Leaves of a tree that is split down to every voxel."""
 
 Word: TypeAlias = np.uint64 | int
-FloatArray: TypeAlias = F32
 
 _ONE = np.uint64(1)
 _BYTE = np.uint64(0xFF)
@@ -109,7 +108,7 @@ def leaf_prefix(trees: U64) -> I64:
 
 @njit(cache=True, nogil=True)
 def leaf_of_voxel(lo: Word, hi: Word, z: int, y: int, x: int) -> tuple[int, int]:
-    """(leaf, width) at voxel (z, y, x), each 0..7: the leaf's index within the tree and its side."""
+    """(leaf, width) at voxel (z, y, x), each 0..7: the leaf's index within the tree and its width."""
     if not is_split(lo, hi, 0):
         return 0, 8
     k = 4 * (z >> 2) + 2 * (y >> 2) + (x >> 2)
@@ -163,12 +162,12 @@ def tree_leaves(lo: Word, hi: Word, cells: I16) -> int:
 
 @njit(cache=True, nogil=True)
 def _corner(k: int, width: int) -> tuple[int, int, int]:
-    """Offset (z, y, x) of child `k`, whose side is `width`, within its parent."""
+    """Offset (z, y, x) of child `k`, `width` voxels wide, within its parent."""
     return width * (k >> 2), width * ((k >> 1) & 1), width * (k & 1)
 
 
 @njit(cache=True, nogil=True)
-def block_structure(values: FloatArray, tolerance: float) -> tuple[np.uint64, np.uint64]:
+def block_structure(values: F32, tolerance: float) -> tuple[np.uint64, np.uint64]:
     """The split rule of SEMANTICS 3 for one tree: (8, 8, 8, C) values [z, y, x, c] -> (lo, hi).
 
     Top down over widths 8, 4, 2: a node is split iff max - min of some channel over it exceeds `tolerance`.
@@ -190,7 +189,7 @@ def block_structure(values: FloatArray, tolerance: float) -> tuple[np.uint64, np
 
 
 @njit(cache=True, nogil=True)
-def _varies(values: FloatArray, z0: int, y0: int, x0: int, width: int, tolerance: float) -> bool:
+def _varies(values: F32, z0: int, y0: int, x0: int, width: int, tolerance: float) -> bool:
     for c in range(values.shape[3]):
         low = values[z0, y0, x0, c]
         high = low
@@ -207,7 +206,7 @@ def _varies(values: FloatArray, z0: int, y0: int, x0: int, width: int, tolerance
 
 
 @njit(cache=True, nogil=True)
-def block_means(values: FloatArray, lo: Word, hi: Word, out: FloatArray) -> int:
+def block_means(values: F32, lo: Word, hi: Word, out: F32) -> int:
     """Means of (8, 8, 8, C) values [z, y, x, c] over the leaves of a tree, to `out` (>= n, C). Returns n.
 
     Summed in float64, where the sum of up to 512 equal float32 is exact: their mean is that very value.
@@ -232,7 +231,7 @@ def block_means(values: FloatArray, lo: Word, hi: Word, out: FloatArray) -> int:
 
 @njit(cache=True, nogil=True)
 def pack_block(
-    values: FloatArray, tolerance: float, out_data: FloatArray
+    values: F32, tolerance: float, out_data: F32
 ) -> tuple[np.uint64, np.uint64, int]:
     """One tree from its voxels, as `GridOctree.from_dense` makes it: structure, then the mean of each leaf.
 

@@ -24,13 +24,11 @@ import numpy as np
 import zstandard
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.octree.grid import GridOctree
+from ocnf_data.octree.grid import MAX_RESOLUTION, GridOctree
 from ocnf_data.octree.stored import STORAGE, RawOctree, quantise, storage_of
 
 VERSION = 1
-MAX_SIDE = 1024
-"""Largest side of a volume, in voxels."""
-MAX_BYTES = 1 << 30
+MAX_DECODED_BYTES = 1 << 30
 """Largest octree, in bytes before compression: decoding never allocates more for the frame's content."""
 
 _LEVEL = 6  # docs/storage-table.md: level 9 saves 2 % more and takes twice as long
@@ -58,10 +56,10 @@ def encode_raw(raw: RawOctree) -> bytes:
         np.ascontiguousarray(words.view(np.uint8)[..., :_TREE_BYTES]).data,
         raw.data.astype(raw.data.dtype.newbyteorder("<"), copy=False).data,
     ))
-    if max(raw.shape) > MAX_SIDE or len(content) > MAX_BYTES:
+    if max(raw.shape) > MAX_RESOLUTION or len(content) > MAX_DECODED_BYTES:
         raise OcnfError("too large to be stored", code="too_large", field=raw.kind,
                         found=f"{raw.shape} voxels, {len(content)} bytes",
-                        expected=f"at most {MAX_SIDE} a side and {MAX_BYTES} bytes")
+                        expected=f"at most {MAX_RESOLUTION} along an axis and {MAX_DECODED_BYTES} bytes")
     compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True, write_content_size=True)
     return compressor.compress(content)
 
@@ -77,13 +75,13 @@ def decode_raw(blob: bytes, kind: str | None = None, resolution: int | None = No
     Args:
         blob: what `encode` returned; any bytes are safe.
         kind: the kind it has to be, None = any.
-        resolution: the cube it has to be, voxels a side, None = any; so a few bytes that claim a large one do
-            not take its memory.
+        resolution: voxels along each axis of the cube it has to be, None = any; so a few bytes that claim a
+            large one do not take its memory.
 
     Raises:
         OcnfError: the bytes are damaged, are no octree, contradict themselves or are not what is asked for.
             Nothing else is raised, and memory stays within the content size, which is checked against the
-            header's claims and `MAX_BYTES` first.
+            header's claims and `MAX_DECODED_BYTES` first.
     """
     raw_kind, shape, n_leaves, start = _read_header(blob)
     if kind is not None and raw_kind != kind:
@@ -111,7 +109,7 @@ def _header(kind: str, shape: tuple[int, int, int], n_leaves: int) -> bytes:
     storage = storage_of(kind)
     meta = {"divisor": storage.divisor, "kind": kind, "shape": list(shape), "units": storage.units,
             "version": VERSION}
-    grid = [side // 8 for side in shape]
+    grid = [n // 8 for n in shape]
     n_tree_bytes = grid[0] * grid[1] * grid[2] * _TREE_BYTES
     n_data_bytes = n_leaves * storage.channels * storage.dtype.itemsize
     text = _canonical({
@@ -148,21 +146,21 @@ def _read_header(blob: bytes) -> tuple[str, tuple[int, int, int], int, int]:
     if not isinstance(kind, str) or kind not in STORAGE:
         raise OcnfError("not a kind of octree", code="header", field="kind", found=kind,
                         expected=", ".join(STORAGE))
-    if not (isinstance(shape, list) and len(shape) == 3 and all(_is_side(side) for side in shape)):
+    if not (isinstance(shape, list) and len(shape) == 3 and all(_is_resolution(n) for n in shape)):
         raise OcnfError("not the shape of a volume", code="header", field="shape", found=shape,
-                        expected=f"three multiples of 8, at most {MAX_SIDE}")
+                        expected=f"three multiples of 8, at most {MAX_RESOLUTION}")
     if type(n_leaves) is not int or not 0 < n_leaves <= shape[0] * shape[1] * shape[2]:
         raise OcnfError("not a number of leaves", code="header", field="data.shape", found=n_leaves,
                         expected=f"1 to {shape[0] * shape[1] * shape[2]}")
-    sides = (shape[0], shape[1], shape[2])
-    expected = _header(kind, sides, n_leaves)
+    dims = (shape[0], shape[1], shape[2])
+    expected = _header(kind, dims, n_leaves)
     if text != expected:
         raise OcnfError("the header contradicts itself", code="header", found=text, expected=expected)
-    return kind, sides, n_leaves, 8 + length
+    return kind, dims, n_leaves, 8 + length
 
 
-def _is_side(side: object) -> bool:
-    return type(side) is int and 8 <= side <= MAX_SIDE and side % 8 == 0
+def _is_resolution(n: object) -> bool:
+    return type(n) is int and 8 <= n <= MAX_RESOLUTION and n % 8 == 0
 
 
 def _decompress(blob: bytes, size: int) -> bytes:
@@ -171,9 +169,10 @@ def _decompress(blob: bytes, size: int) -> bytes:
         frame = zstandard.get_frame_parameters(blob)
         if not frame.has_checksum:
             raise OcnfError("the frame has no checksum", code="checksum")
-        if frame.content_size != size or size > MAX_BYTES:
+        if frame.content_size != size or size > MAX_DECODED_BYTES:
             raise OcnfError("the frame is not of the size that its header claims", code="too_large",
-                            found=f"{frame.content_size} bytes", expected=f"{size}, at most {MAX_BYTES}")
+                            found=f"{frame.content_size} bytes",
+                            expected=f"{size}, at most {MAX_DECODED_BYTES}")
         return zstandard.ZstdDecompressor().decompress(blob, allow_extra_data=False)
 
 

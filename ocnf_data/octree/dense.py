@@ -8,13 +8,11 @@ parallel: a forked loader worker may call it, and OpenMP does not survive a fork
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
-from ocnf_data.arrays import F32, I32, I64, U8, U32, U64
+from ocnf_data.arrays import F32, I32, I64, U8, U32, Prefix, TreeArray
 from ocnf_data.octree.bits import (
     MAX_LEAVES,
     TREE_WIDTH,
@@ -25,13 +23,9 @@ from ocnf_data.octree.bits import (
     tree_leaves,
 )
 
-FloatArray: TypeAlias = F32
-TreeArray: TypeAlias = U64
-Prefix: TypeAlias = I64
-
 
 @njit(cache=True, nogil=True, parallel=True)
-def tree_extremes(values: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+def tree_extremes(values: F32) -> tuple[F32, F32, bool]:
     """Smallest and largest value over each tree, (T, C) float32 each, and whether every value is finite."""
     n_channels, depth, height, width = values.shape
     gd, gh, gw = depth // TREE_WIDTH, height // TREE_WIDTH, width // TREE_WIDTH
@@ -63,7 +57,7 @@ def tree_extremes(values: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def split_trees(values: FloatArray, low: FloatArray, high: FloatArray, tolerance: float) -> TreeArray:
+def split_trees(values: F32, low: F32, high: F32, tolerance: float) -> TreeArray:
     """Bits of each tree by the split rule, (T, 2) uint64; `low` and `high` are its `tree_extremes`."""
     n_channels, _, height, width = values.shape
     gh, gw = height // TREE_WIDTH, width // TREE_WIDTH
@@ -80,8 +74,8 @@ def split_trees(values: FloatArray, low: FloatArray, high: FloatArray, tolerance
 
 @njit(cache=True, nogil=True, parallel=True)
 def mean_leaves(
-    values: FloatArray, low: FloatArray, high: FloatArray, trees: TreeArray, prefix: Prefix
-) -> FloatArray:
+    values: F32, low: F32, high: F32, trees: TreeArray, prefix: Prefix
+) -> F32:
     """Means over the leaves of the trees, (n_leaves, C) float32."""
     n_channels, _, height, width = values.shape
     gh, gw = height // TREE_WIDTH, width // TREE_WIDTH
@@ -100,14 +94,14 @@ def mean_leaves(
 
 
 @njit(cache=True, nogil=True)
-def _block(zyxc: FloatArray, t: int, gh: int, gw: int) -> FloatArray:
+def _block(zyxc: F32, t: int, gh: int, gw: int) -> F32:
     """The (8, 8, 8, C) view of tree `t` in a (D, H, W, C) volume."""
-    z, y, x = tree_origin(t, gh, gw)
+    z, y, x = first_voxel(t, gh, gw)
     return zyxc[z : z + TREE_WIDTH, y : y + TREE_WIDTH, x : x + TREE_WIDTH]
 
 
 @njit(cache=True, nogil=True)
-def tree_origin(t: int, gh: int, gw: int) -> tuple[int, int, int]:
+def first_voxel(t: int, gh: int, gw: int) -> tuple[int, int, int]:
     """Lowest voxel (z, y, x) of tree `t` of a grid with `gh` x `gw` trees a layer."""
     return TREE_WIDTH * (t // (gh * gw)), TREE_WIDTH * (t // gw % gh), TREE_WIDTH * (t % gw)
 
@@ -118,7 +112,7 @@ def paint(trees: TreeArray, prefix: Prefix, data: npt.NDArray, volume: npt.NDArr
     n_channels, _, height, width = volume.shape
     gh, gw = height // TREE_WIDTH, width // TREE_WIDTH
     for t in prange(len(trees)):
-        z0, y0, x0 = tree_origin(t, gh, gw)
+        z0, y0, x0 = first_voxel(t, gh, gw)
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         for c in range(n_channels):
@@ -140,7 +134,7 @@ def locate_leaves(
     widths = np.empty(prefix[-1], np.uint8)
     cells = np.empty((MAX_LEAVES, 4), np.int16)
     for t in range(len(trees)):
-        z0, y0, x0 = tree_origin(t, gh, gw)
+        z0, y0, x0 = first_voxel(t, gh, gw)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         for leaf in range(n):
             row = prefix[t] + leaf

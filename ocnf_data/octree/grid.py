@@ -9,12 +9,14 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import I32, I64, U8
+from ocnf_data.arrays import F32, I32, I64, U8, TreeArray
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import dense
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_prefix
-from ocnf_data.octree.dense import FloatArray, TreeArray
 from ocnf_data.octree.oc import read_oc, write_oc
+
+MAX_RESOLUTION = 1024
+"""Most voxels along an axis of a volume that is fused or stored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,7 @@ class GridOctree:
     """
 
     trees: TreeArray
-    data: FloatArray
+    data: F32
 
     def __post_init__(self) -> None:
         """Check everything, so that an octree that exists is valid."""
@@ -42,7 +44,7 @@ class GridOctree:
         object.__setattr__(self, "data", _check_data(self.data, self.n_leaves))
 
     @classmethod
-    def trusted(cls, trees: TreeArray, data: FloatArray) -> GridOctree:
+    def trusted(cls, trees: TreeArray, data: F32) -> GridOctree:
         """Wrap arrays that are valid by construction, unchecked: for the outputs of kernels only."""
         octree = object.__new__(cls)
         object.__setattr__(octree, "trees", trees)
@@ -50,7 +52,7 @@ class GridOctree:
         return octree
 
     @classmethod
-    def from_dense(cls, values: FloatArray, tolerance: float | None = None) -> GridOctree:
+    def from_dense(cls, values: F32, tolerance: float | None = None) -> GridOctree:
         """Top down over nodes of 8, 4 and 2 voxels: split where some channel's max - min exceeds `tolerance`.
 
         Args:
@@ -92,7 +94,7 @@ class GridOctree:
         """(T + 1,): index of each tree's first leaf, and the number of leaves at the end."""
         return leaf_prefix(self.trees.reshape(-1, 2))
 
-    def to_dense(self) -> FloatArray:
+    def to_dense(self) -> F32:
         """(C, D, H, W) float32: every voxel holds the value of its leaf."""
         volume = np.empty((self.channels, *self.shape), np.float32)
         dense.paint(self.trees.reshape(-1, 2), self.prefix, self.data, volume)
@@ -100,15 +102,8 @@ class GridOctree:
 
     def leaf_width(self) -> U8:
         """(D, H, W) uint8: width in voxels (8, 4, 2 or 1) of the leaf that holds each voxel."""
-        return self._paint_rows(self.leaf_sizes())
-
-    def leaf_index(self) -> I32:
-        """(D, H, W) int32: row in `data` of the leaf that holds each voxel."""
-        return self._paint_rows(np.arange(self.n_leaves, dtype=np.int32))
-
-    def _paint_rows(self, rows: npt.NDArray) -> npt.NDArray:
-        volume = np.empty((1, *self.shape), rows.dtype)
-        dense.paint(self.trees.reshape(-1, 2), self.prefix, rows[:, None], volume)
+        volume = np.empty((1, *self.shape), np.uint8)
+        dense.paint(self.trees.reshape(-1, 2), self.prefix, self.leaf_sizes()[:, None], volume)
         return volume[0]
 
     def leaf_positions(self) -> I32:
@@ -124,7 +119,7 @@ class GridOctree:
         _, gh, gw, _ = self.trees.shape
         return dense.locate_leaves(self.trees.reshape(-1, 2), self.prefix, gh, gw)
 
-    def gather(self, zyx: npt.ArrayLike) -> FloatArray:
+    def gather(self, zyx: npt.ArrayLike) -> F32:
         """Values at voxels, without a dense volume.
 
         Args:
@@ -144,11 +139,7 @@ class GridOctree:
         flat = self.trees.reshape(-1, 2)
         return self.data[dense.leaves_at(flat, self.prefix, gh, gw, voxels.astype(np.int64))]
 
-    def structure_equal(self, other: GridOctree) -> bool:
-        """Whether both have the same trees."""
-        return np.array_equal(self.trees, other.trees)
-
-    def with_data(self, data: FloatArray) -> GridOctree:
+    def with_data(self, data: F32) -> GridOctree:
         """The same trees with other values, (n_leaves, any C) float32."""
         return self.trusted(self.trees, _check_data(data, self.n_leaves))
 
@@ -168,14 +159,7 @@ class GridOctree:
                f"n_leaves={self.n_leaves} ({share:.1%}))"
 
 
-def split_structure(values: FloatArray, tolerance: float) -> TreeArray:
-    """The structure predicate alone: trees (GD, GH, GW, 2) that `from_dense` would make of (C, D, H, W)."""
-    values = _check_volume(values)
-    trees = dense.split_trees(values, *_extremes(values), _check_tolerance(tolerance))
-    return trees.reshape(*_grid_of(values), 2)
-
-
-def mean_on(trees: TreeArray, values: FloatArray) -> FloatArray:
+def mean_on(trees: TreeArray, values: F32) -> F32:
     """Means of a (C, D, H, W) float32 volume over the leaves of given trees: (n_leaves, C) float32."""
     trees, values = check_trees(trees), _check_volume(values)
     if trees.shape[:3] != _grid_of(values):
@@ -202,7 +186,7 @@ def check_trees(trees: TreeArray) -> TreeArray:
     return trees
 
 
-def _check_data(data: FloatArray, n_leaves: int) -> FloatArray:
+def _check_data(data: F32, n_leaves: int) -> F32:
     if not _is_array(data, np.float32, ndim=2) or data.shape[1] < 1:
         raise OcnfError("not leaf values", field="data", found=_describe(data),
                         expected="float32 (n_leaves, C)")
@@ -215,12 +199,12 @@ def _check_data(data: FloatArray, n_leaves: int) -> FloatArray:
     return data
 
 
-def _check_volume(values: FloatArray) -> FloatArray:
+def _check_volume(values: F32) -> F32:
     if not _is_array(values, np.float32, ndim=4) or values.size == 0:
         raise OcnfError("not a volume", field="values", found=_describe(values),
                         expected="float32 (C, D, H, W)")
     if any(n % TREE_WIDTH for n in values.shape[1:]):
-        raise OcnfError("a side of the volume is not a multiple of 8", field="values",
+        raise OcnfError("an axis of the volume is not a multiple of 8", field="values",
                         found=values.shape[1:])
     return np.ascontiguousarray(values)
 
@@ -231,14 +215,14 @@ def _check_tolerance(tolerance: float) -> float:
     return float(tolerance)
 
 
-def _extremes(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _extremes(values: F32) -> tuple[F32, F32]:
     low, high, finite = dense.tree_extremes(values)
     if not finite:
         raise OcnfError("a value is not finite", code="non_finite", field="values")
     return low, high
 
 
-def _grid_of(values: FloatArray) -> tuple[int, int, int]:
+def _grid_of(values: F32) -> tuple[int, int, int]:
     _, depth, height, width = values.shape
     return depth // TREE_WIDTH, height // TREE_WIDTH, width // TREE_WIDTH
 

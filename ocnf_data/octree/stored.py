@@ -25,11 +25,11 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ocnf_data.arrays import F32, U8, U16
+from ocnf_data.arrays import F32, U8, U16, TreeArray
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.bits import leaf_prefix
-from ocnf_data.octree.grid import GridOctree, TreeArray, check_trees
+from ocnf_data.octree.grid import GridOctree, check_trees
 
 TARGET = "target"
 """The kind of the ground truth: TSDF / tau of all views, stored more finely than any input."""

@@ -15,7 +15,7 @@ _CLEAR = np.float32(1e-3)
 
 
 def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
-                   origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[F64, I64]:
+                   centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[F64, I64]:
     """Marching cubes of a TSDF octree: a closed surface around what lies below `level`, facing outwards.
 
     Every edge belongs to exactly two faces. Beyond the grid's border everything is free, so that a solid cut
@@ -23,9 +23,9 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
 
     Args:
         octree: 1 channel, TSDF / tau: negative inside.
-        extent: longest side of the grid in metres.
+        extent: length of the grid along its longest axis in metres.
         level: in units of tau; above 0 the surface lies outside of the measured one.
-        origin: world position (x, y, z) of the grid's centre in metres.
+        centre: world position (x, y, z) of the grid's centre in metres.
 
     Returns:
         vertices (N, 3) in metres, x y z, and faces (M, 3); both empty where nothing is below `level`.
@@ -40,7 +40,7 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     except ImportError as error:
         raise OcnfError("marching cubes needs scikit-image", code="missing_extra",
                         fix="pip install 'ocnf[generate]'") from error
-    cropped, first_tree = _occupied(octree, level)
+    cropped, first_tree = occupied_box(octree, level)
     if cropped is None:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     values = np.pad(cropped.to_dense()[0], 1, constant_values=1.0) - np.float32(level)
@@ -51,11 +51,11 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
         zyx, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
     size = extent / max(octree.shape)
     index = zyx[:, ::-1].astype(np.float64) - 1 + 8 * first_tree[::-1]  # voxels x y z; 1 is the border
-    centre = np.array(octree.shape[::-1]) / 2
-    return (index + 0.5 - centre) * size + origin, faces.astype(np.int64)
+    middle = np.array(octree.shape[::-1]) / 2
+    return (index + 0.5 - middle) * size + centre, faces.astype(np.int64)
 
 
-def _occupied(octree: GridOctree, level: float) -> tuple[GridOctree | None, I64]:
+def occupied_box(octree: GridOctree, level: float = 0.0) -> tuple[GridOctree | None, I64]:
     """The box of trees around all that are not wholly free, and its first tree (gd, gh, gw).
 
     None in place of the box where nothing lies below `level`.
@@ -76,8 +76,8 @@ def _occupied(octree: GridOctree, level: float) -> tuple[GridOctree | None, I64]
 def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
     """Edges (k, 2) that belong to more than two faces.
 
-    The tables of marching cubes (Lewiner et al. 2003) leave some: two tunnels that meet at the same side of
-    a cell both use a diagonal of that side.
+    The tables of marching cubes (Lewiner et al. 2003) leave some: two tunnels that meet at the same face of
+    a cell both use a diagonal of that face.
     """
     n = int(faces.max()) + 1
     a = faces.astype(np.int64)
@@ -88,15 +88,15 @@ def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
 
 
 def _fill(values: F32, middles: npt.NDArray[np.floating]) -> bool:
-    """Make one more voxel solid at every side of a cell in which a point of `middles` (k, 3), z y x, lies.
+    """Make one more voxel solid at every face of a cell in which a point of `middles` (k, 3), z y x, lies.
 
     Of its two free voxels, which alternate with two solid ones, it is the one nearer to the surface. Nothing
     is ever made free, so that repeating this comes to an end. False if there was nothing left to fill.
     """
     n_free = 0
     for middle in middles:
-        side = values[tuple(slice(int(np.floor(c)), int(np.ceil(c)) + 1) for c in middle)]
-        free = side > 0
+        face = values[tuple(slice(int(np.floor(c)), int(np.ceil(c)) + 1) for c in middle)]
+        free = face > 0
         n_free += int(free.sum())
-        side[side == side[free].min(initial=np.inf)] = -_CLEAR
+        face[face == face[free].min(initial=np.inf)] = -_CLEAR
     return n_free > 0

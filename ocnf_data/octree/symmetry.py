@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ocnf_data.arrays import I64, Bool
+from ocnf_data.arrays import I64, Bool, Prefix, TreeArray
 from ocnf_data.octree.bits import child_bits, is_split, leaf_prefix, popcount, splits_below, with_split
-from ocnf_data.octree.dense import Prefix, TreeArray
 from ocnf_data.octree.grid import GridOctree
 from ocnf_data.octree.stored import RawOctree
 
@@ -38,17 +37,6 @@ class Symmetry:
         """Whether it keeps the handedness: the parity of the permutation is that of the number of flips."""
         inversions = sum(self.axes[i] > self.axes[j] for i in range(3) for j in range(i + 1, 3))
         return (inversions + sum(self.flips)) % 2 == 0
-
-    def then(self, second: Symmetry) -> Symmetry:
-        """The symmetry that applies this one first and `second` to its result."""
-        a, b, c = second.axes
-        flips = [own != self.flips[axis] for own, axis in zip(second.flips, second.axes, strict=True)]
-        return Symmetry((self.axes[a], self.axes[b], self.axes[c]), (flips[0], flips[1], flips[2]))
-
-    def inverse(self) -> Symmetry:
-        """The symmetry that undoes this one."""
-        a, b, c = (self.axes.index(axis) for axis in range(3))
-        return Symmetry((a, b, c), (self.flips[a], self.flips[b], self.flips[c]))
 
     def __call__(self, octree: AnyOctree) -> AnyOctree:
         """The octree moved: `to_dense()` of the result is the symmetry of `to_dense()`."""

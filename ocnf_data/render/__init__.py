@@ -18,9 +18,9 @@ from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views
 
-__all__ = ["BACKENDS", "render_depth"]
+__all__ = ["RENDERERS", "render_depth"]
 
-Backend = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
+Renderer = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
 
 _MAX_SIDE = 16384
 _MIN_NEAR = 1e-6
@@ -39,7 +39,7 @@ def _pyrender(*args: Any) -> F32:
 
 
 # Each imports on first use: numba's kernels take a moment to load, and OpenGL may be missing altogether.
-BACKENDS: dict[str, Backend] = {"raster": _raster, "pyrender": _pyrender}
+RENDERERS: dict[str, Renderer] = {"raster": _raster, "pyrender": _pyrender}
 
 
 def render_depth(
@@ -69,9 +69,9 @@ def render_depth(
     Raises:
         OcnfError: arguments that do not fit together; with `pyrender`, no working OpenGL.
     """
-    if backend not in BACKENDS:
+    if backend not in RENDERERS:
         raise OcnfError("unknown backend", where="render_depth", field="backend", found=backend,
-                        expected=" or ".join(BACKENDS))
+                        expected=" or ".join(RENDERERS))
     if not (np.isfinite(near) and near >= _MIN_NEAR):
         raise OcnfError("near plane out of range", where="render_depth", field="near", found=near,
                         expected=f"metres >= {_MIN_NEAR}")
@@ -83,11 +83,12 @@ def render_depth(
                         expected="(V, 3, 3) with V >= 1")
     # Views knows what cameras may be; one pixel each is enough to ask it.
     cameras = Views(np.zeros((len(rotations), 1, 1), np.float32), np.asarray(K), rotations, np.asarray(T))
-    return BACKENDS[backend](points, triangles, cameras.K, cameras.R, cameras.T, (height, width), float(near))
+    render = RENDERERS[backend]
+    return render(points, triangles, cameras.K, cameras.R, cameras.T, (height, width), float(near))
 
 
 def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    height, width = (int(side) for side in size)
+    height, width = (int(n) for n in size)
     if not (1 <= height <= _MAX_SIDE and 1 <= width <= _MAX_SIDE):
         raise OcnfError("image size out of range", where="render_depth", field="size", found=size,
                         expected=f"(H, W), each 1 to {_MAX_SIDE}")

@@ -10,7 +10,7 @@ The obvious calls give silently wrong depth; what is done here instead, and why:
 - The depth buffer has 24 bits, most of them spent near the near plane: near and far are put tightly around
   what each view shows. A camera inside its scene has to live with the error, up to `6e-8 z^2 / near`.
 - Positions are float32 on the device: they are sent relative to the middle of the mesh.
-- pyrender has been seen to leak with every mesh: the context is made anew every few of them.
+- pyrender has been seen to leak with every mesh: the context is made again every few of them.
 
 One process, one thread: a context cannot be used from a second thread or across a fork.
 """
@@ -152,9 +152,9 @@ def _import_pyrender() -> Any:
 
 def _broken(what: str, error: Exception) -> OcnfError:
     platform = os.environ.get("PYOPENGL_PLATFORM", "the screen")
-    mend = OSMESA if platform == "osmesa" else LIBRARIES
+    fix = OSMESA if platform == "osmesa" else LIBRARIES
     return OcnfError(f"{what} on {platform}", code="gl", where="pyrender",
-                     found=f"{type(error).__name__}: {error}", fix=f"run {mend}, or use the backend raster")
+                     found=f"{type(error).__name__}: {error}", fix=f"run {fix}, or use the backend raster")
 
 
 def _camera_pose(R: F64, T: F64) -> F64:

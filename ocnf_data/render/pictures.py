@@ -71,17 +71,17 @@ class Window(NamedTuple):
 
     row: float
     column: float
-    side: int
+    width: int
 
 
-def busiest_window(octree: GridOctree, axis: int, index: int, side: int) -> Window:
-    """A window of `side` voxels in the middle of a plane's width-1 leaves, inside the plane."""
+def busiest_window(octree: GridOctree, axis: int, index: int, width: int) -> Window:
+    """A window of `width` voxels in the middle of a plane's width-1 leaves, inside the plane."""
     squares = slice_cells(octree, axis, index)[1]
     size = np.array([n for a, n in enumerate(octree.shape) if a != axis])
     fine = squares[squares[:, 2] == 1, :2]
     middle = np.median(fine, axis=0) if len(fine) else size / 2
-    row, column = np.clip(middle - side / 2, 0, np.maximum(size - side, 0))
-    return Window(float(row), float(column), side)
+    row, column = np.clip(middle - width / 2, 0, np.maximum(size - width, 0))
+    return Window(float(row), float(column), width)
 
 
 def draw_slice(
@@ -116,8 +116,8 @@ def draw_slice(
     corners = np.stack([np.stack([c, r + w], 1), np.stack([c, r], 1), np.stack([c + w, r], 1)], 1)
     ax.add_collection(LineCollection(list(corners), colors=(0.15, 0.15, 0.2, 0.6), linewidths=0.35))
     if window is not None:
-        ax.set_ylim(window.row, window.row + window.side)
-        ax.set_xlim(window.column, window.column + window.side)
+        ax.set_ylim(window.row, window.row + window.width)
+        ax.set_xlim(window.column, window.column + window.width)
     left, up = (name for name in AXES if name != AXES[axis])
     ax.set_xlabel(up, labelpad=1)
     ax.set_ylabel(left, labelpad=1)

@@ -12,6 +12,8 @@ Inverse depth w = 1 / z is linear in the image, so it is what is interpolated (f
 
 from __future__ import annotations
 
+from typing import NamedTuple, TypeAlias
+
 import numba
 import numpy as np
 from numba import njit, prange
@@ -24,6 +26,33 @@ _EDGE_ON = 1e-9
 
 # Pixels are drawn by this many at a time; the buffer is longer than the image by as much.
 _LANES = 8
+
+Vertex: TypeAlias = tuple[float, float, float]
+"""A projected vertex (u, v, w): pixels and 1 / z."""
+
+
+class Cameras(NamedTuple):
+    """V cameras.
+
+    Attributes:
+        pinholes: (V, 4) fx, fy, cx, cy in pixels.
+        R: (V, 3, 3) world to camera.
+        T: (V, 3) metres, world to camera.
+        near: metres, the plane in front of which is drawn.
+    """
+
+    pinholes: F64
+    R: F64
+    T: F64
+    near: float
+
+
+class Buffer(NamedTuple):
+    """Inverse depth of an image: (H * W + 8,) float32, its height and its width."""
+
+    inverse: F32
+    height: int
+    width: int
 
 
 def rasterise(
@@ -44,7 +73,7 @@ def rasterise(
     """
     depth = np.empty((len(R), *size), dtype=np.float32)
     pinholes = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)  # (V, 4)
-    scene = (vertices, faces.astype(np.uint32), pinholes, R, T, near)
+    scene = (vertices, faces.astype(np.uint32), Cameras(pinholes, R, T, float(near)))
     n_threads = min(len(R), numba.get_num_threads())
     if n_threads == 1:
         # Starts no thread pool, so it is safe in forked children and in Python threads.
@@ -55,36 +84,32 @@ def rasterise(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _render_parallel(
-    vertices: F64, faces: U32, pinholes: F64, R: F64, T: F64, near: float, n_threads: int, depth: F32
-) -> None:
+def _render_parallel(vertices: F64, faces: U32, cameras: Cameras, n_threads: int, depth: F32) -> None:
     for thread in prange(n_threads):
-        _render_strided(vertices, faces, pinholes, R, T, near, thread, n_threads, depth)
+        _render_strided(vertices, faces, cameras, thread, n_threads, depth)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _render_strided(
-    vertices: F64, faces: U32, pinholes: F64, R: F64, T: F64, near: float, start: int, step: int, depth: F32
-) -> None:
+def _render_strided(vertices: F64, faces: U32, cameras: Cameras, start: int, step: int, depth: F32) -> None:
     """Render views start, start + step, ...; each is one thread's alone, so thread counts change nothing."""
+    pinholes, R, T, near = cameras
     height, width = depth.shape[1:]
     projected = np.empty((len(vertices), 3))
     buffer = np.zeros(height * width + _LANES, np.float32)  # 1 / z, kept in the cache from view to view
+    image = Buffer(buffer, height, width)
     for view in range(start, len(depth), step):
         _project(vertices, pinholes[view], R[view], T[view], near, projected)
         for f in range(len(faces)):
             a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
             wa, wb, wc = projected[a, 2], projected[b, 2], projected[c, 2]
             if wa > 0.0 and wb > 0.0 and wc > 0.0:
-                _draw(buffer, height, width, projected[a, 0], projected[a, 1], wa, projected[b, 0],
-                      projected[b, 1], wb, projected[c, 0], projected[c, 1], wc)  # fmt: skip
+                _draw(image, (projected[a, 0], projected[a, 1], wa), (projected[b, 0], projected[b, 1], wb),
+                      (projected[c, 0], projected[c, 1], wc))
             elif wa > 0.0 or wb > 0.0 or wc > 0.0:
-                _draw_clipped(
-                    buffer, height, width, vertices, faces[f], pinholes[view], R[view], T[view], near
-                )
-        image = depth[view].ravel()
-        for i in range(len(image)):
-            image[i] = np.float32(1.0) / buffer[i]
+                _draw_clipped(image, vertices, faces[f], pinholes[view], R[view], T[view], near)
+        pixels = depth[view].ravel()
+        for i in range(len(pixels)):
+            pixels[i] = np.float32(1.0) / buffer[i]
             buffer[i] = np.float32(0.0)
 
 
@@ -110,21 +135,19 @@ def _to_camera(p: F64, R: F64, T: F64) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw(
-    buffer: F32, height: int, width: int,
-    ua: float, va: float, wa: float,
-    ub: float, vb: float, wb: float,
-    uc: float, vc: float, wc: float,
-) -> None:  # fmt: skip
-    """Draw one triangle of projected vertices (u, v, w) into the buffer of 1 / z (H * W + 8,)."""
+def _draw(image: Buffer, a: Vertex, b: Vertex, c: Vertex) -> None:
+    """Draw one triangle into the buffer."""
+    buffer, height, width = image
+    (ua, va, wa), (ub, vb, wb), (uc, vc, wc) = a, b, c
     # Most triangles of a fine mesh hold no pixel centre and end here.
     top, bottom = np.ceil(min(va, vb, vc)), np.floor(max(va, vb, vc))
     left, right = np.ceil(min(ua, ub, uc)), np.floor(max(ua, ub, uc))
     if not (top <= bottom and left <= right and bottom >= 0 and right >= 0 and top < height and left < width):
         return
-    ua, va, wa, ub, vb, wb = _upper_first(ua, va, wa, ub, vb, wb)
-    ub, vb, wb, uc, vc, wc = _upper_first(ub, vb, wb, uc, vc, wc)
-    ua, va, wa, ub, vb, wb = _upper_first(ua, va, wa, ub, vb, wb)
+    a, b = _upper_first(a, b)
+    b, c = _upper_first(b, c)
+    a, b = _upper_first(a, b)
+    (ua, va, wa), (ub, vb, wb), (uc, vc, wc) = a, b, c
     slope_ac = (uc - ua) / (vc - va)
     across = ub - (ua + (vb - va) * slope_ac)
     if va == vc or across == 0.0:
@@ -164,20 +187,15 @@ def _draw(
 
 
 @njit(cache=True, nogil=True)
-def _upper_first(
-    ua: float, va: float, wa: float, ub: float, vb: float, wb: float
-) -> tuple[float, float, float, float, float, float]:
+def _upper_first(a: Vertex, b: Vertex) -> tuple[Vertex, Vertex]:
     """The two vertices, the upper one first; the order of two in one row does not matter."""
-    if vb < va:
-        return ub, vb, wb, ua, va, wa
-    return ua, va, wa, ub, vb, wb
+    if b[1] < a[1]:
+        return b, a
+    return a, b
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_clipped(
-    buffer: F32, height: int, width: int,
-    vertices: F64, face: U32, pinhole: F64, R: F64, T: F64, near: float,
-) -> None:  # fmt: skip
+def _draw_clipped(image: Buffer, vertices: F64, face: U32, pinhole: F64, R: F64, T: F64, near: float) -> None:
     """Draw the part in front of the near plane of a triangle that crosses it: one or two triangles."""
     fx, fy, cx, cy = pinhole
     corners = np.empty((3, 3))
@@ -203,4 +221,4 @@ def _draw_clipped(
     a = polygon[0]
     for k in range(1, n - 1):
         b, c = polygon[k], polygon[k + 1]
-        _draw(buffer, height, width, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+        _draw(image, (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]))

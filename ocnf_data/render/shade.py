@@ -15,7 +15,7 @@ from ocnf_data.render.raster import rasterise
 CLAY = (0.80, 0.76, 0.70)
 _KEY_LIGHT = np.array([-0.45, -0.65, -0.61])  # camera axes (x right, y down, z forward), towards the light
 _DISTANCE = 4.5  # of the camera, in radii of the object: a long lens distorts little
-_MARGIN = 0.04  # of the picture's side, left free all around
+_MARGIN = 0.04  # of the picture's width, left free all around
 
 
 def shade(
@@ -34,14 +34,14 @@ def shade(
     Args:
         vertices: (N, 3) in any unit.
         faces: (M, 3) indices; M may be 0, which gives an empty picture.
-        size: side of the square picture in pixels.
+        size: width and height of the square picture in pixels.
         azimuth: degrees around the up axis.
         elevation: degrees above the horizon.
         up: which axis of the mesh points up, "y" or "z".
         colour: albedo, RGB in 0..1.
         frame: (P, 3) points that have to fit into the picture, default the vertices. Pass the same to
             pictures that are to be compared.
-        supersample: samples a pixel on each side.
+        supersample: samples a pixel along each axis.
 
     Returns:
         (size, size, 3) uint8.

@@ -52,11 +52,11 @@ class Draft:
             corner = np.array([draw.between(low[i], low[i] + room[i]) for i in range(2)])
             x, y = (corner - a[:2]).tolist()
             placed = part.move(x, y, z - a[2])
-            if self.add(placed, name):
+            if self.stand(placed, name):
                 return placed
         return None
 
-    def add(self, part: Part, name: str) -> bool:
+    def stand(self, part: Part, name: str) -> bool:
         """Add a part that stands where it shall, if its box keeps apart from all others; whether it did."""
         a, b = part.vertices.min(axis=0), part.vertices.max(axis=0)
         for low, high in self._boxes:

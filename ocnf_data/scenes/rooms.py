@@ -74,4 +74,4 @@ def _pictures(draw: Draw, draft: Draft, w: float, d: float, h: float) -> None:
         y, thick = draw.between(-d / 2 + wide / 2, d / 2 - wide / 2), draw.between(0.015, 0.04)
         z = draw.between(1.2, h - high - 0.1)
         frame = box(thick, wide, high).move(x=side * (w - thick) / 2, y=y, z=z)
-        draft.add(frame, "picture")
+        draft.stand(frame, "picture")

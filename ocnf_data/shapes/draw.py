@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 class Draw:
@@ -32,7 +32,7 @@ class Draw:
         """True with the given probability."""
         return bool(self._random() < probability)
 
-    def pick(self, *options: T) -> T:
+    def pick(self, *options: _T) -> _T:
         """One of the options, each as likely."""
         return options[int(len(options) * self._random())]
 

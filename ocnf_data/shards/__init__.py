@@ -7,7 +7,7 @@ from ocnf_data.files.records import SCHEMA_VERSION
 from ocnf_data.shards.dataset import Counts, DatasetInfo, FileEntry, ShardEntry, load_dataset, write_dataset
 from ocnf_data.shards.index import ShardIndex
 from ocnf_data.shards.reader import ShardReader
-from ocnf_data.shards.writer import ShardWriter, find_complete, is_complete
+from ocnf_data.shards.writer import ShardWriter, find_complete
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -19,7 +19,6 @@ __all__ = [
     "ShardReader",
     "ShardWriter",
     "find_complete",
-    "is_complete",
     "load_dataset",
     "write_dataset",
 ]

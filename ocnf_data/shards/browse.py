@@ -12,6 +12,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.codec import decode
+from ocnf_data.shards.catalogue import load_catalogue
 from ocnf_data.shards.dataset import DatasetInfo, load_dataset
 from ocnf_data.shards.index import SampleEntry
 from ocnf_data.shards.reader import ShardReader
@@ -75,8 +76,13 @@ def find_sample(url: str | Store, key: str) -> StoredSample:
     Raises:
         OcnfError: there is none (`missing`).
     """
-    for sample in stored_samples(url):
-        if sample.key == key:
-            return sample
+    store = url if isinstance(url, Store) else Store(url)
+    info = load_dataset(store)
+    for split, entries in info.splits.items():
+        catalogue = load_catalogue(store, info, split)
+        if (place := catalogue.find(key)) is not None:
+            shard, position = place
+            reader = ShardReader(store, split, entries[shard])
+            return StoredSample(reader, position, reader.index.samples[position])
     raise OcnfError("the data set has no such sample", code="missing", where=url, field=key,
                     fix="list the keys with `ocnf-data info DIR --samples`")

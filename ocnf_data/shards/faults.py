@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import IO
+from typing import NamedTuple
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import sha256_hex
 from ocnf_data.shards.index import Member
-from ocnf_data.shards.tarformat import BLOCK, TRAILER, make_header, padding, parse_header, tar_name
+from ocnf_data.shards.tarformat import BLOCK, TRAILER, make_header, padding, parse_tar_header, tar_name
+
+
+class RawMember(NamedTuple):
+    """The bytes that lie where a member should; parts are shorter where the tar ends."""
+
+    header: bytes
+    payload: bytes
+    pad: bytes
 
 
 @dataclass(frozen=True)
@@ -36,13 +44,9 @@ class Fault:
                          fix="`ocnf-data repair` generates the shard again")
 
 
-def read_member(file: IO[bytes], member: Member) -> tuple[bytes, bytes, bytes]:
-    """(header, payload, padding) from where the file stands; shorter where the file ends."""
-    return file.read(BLOCK), file.read(member.size), file.read(padding(member.size))
-
-
-def member_faults(key: str, member: Member, header: bytes, payload: bytes, pad: bytes) -> Iterator[Fault]:
+def member_faults(key: str, member: Member, raw: RawMember) -> Iterator[Fault]:
     """Everything that is wrong with a member as read; nothing where it is what the index says."""
+    header, payload, pad = raw
     start, end = member.offset - BLOCK, member.offset + member.size
     missing = end + padding(member.size) - start - len(header) - len(payload) - len(pad)
     if missing:
@@ -72,7 +76,7 @@ def end_faults(end: bytes, size: int) -> Iterator[Fault]:
 def _describe(header: bytes) -> str:
     """What a wrong header is, in words."""
     try:
-        key, member, size = parse_header(header)
+        key, member, size = parse_tar_header(header)
     except OcnfError as error:
         return f"a damaged one ({error})"
     return f"that of {tar_name(key, member)} with {size} bytes"

@@ -7,21 +7,21 @@
                   "leaf_counts": {"target-64.oct": 25117, ...}}, ...]}
 
 `offset` is that of the payload, in bytes from the start of the tar. Category, source and leaf counts are
-those of the sample's own `json` member, so the index can be made anew from the tar alone (`index_from_tar`).
-It holds no times: those go to `timings/`, which no checksum covers, so that equal data gives equal files.
+those of the sample's own `json` member, so the index can be made anew from the tar alone
+(`walk.index_from_tar`). It holds no times: those go to `timings/`, which no checksum covers, so that equal
+data gives equal files.
 """
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterator, Mapping
-from typing import IO, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.records import SCHEMA_VERSION, Count, Record, Sha256, Text, sha256_hex
+from ocnf_data.files.records import SCHEMA_VERSION, Count, Record, Sha256, Text
 from ocnf_data.shards.tarformat import (
     BLOCK,
     JSON,
@@ -29,8 +29,6 @@ from ocnf_data.shards.tarformat import (
     check_key,
     check_member,
     max_size,
-    padding,
-    parse_header,
     stored_size,
     tar_name,
 )
@@ -104,16 +102,8 @@ class ShardIndex(Record):
             for member in sample.members:
                 yield sample, member
 
-    def sample(self, key: str) -> SampleEntry:
-        """The sample of that key; OcnfError (`missing`) where the shard has none."""
-        for sample in self.samples:
-            if sample.key == key:
-                return sample
-        raise OcnfError("the shard has no such sample", code="missing", field=key,
-                        where=shard_path(self.split, self.shard))
 
-
-class Facts(BaseModel):
+class SampleFacts(BaseModel):
     """What the index takes from a sample's `json` member; the member may hold more."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
@@ -124,10 +114,10 @@ class Facts(BaseModel):
     leaf_counts: dict[str, LeafCount]
 
 
-def read_facts(payload: bytes, where: object) -> Facts:
+def read_facts(payload: bytes, where: object) -> SampleFacts:
     """Key, category, source and leaf counts out of a `json` member."""
     try:
-        return Facts.model_validate_json(payload)
+        return SampleFacts.model_validate_json(payload)
     except ValidationError as error:
         problem = error.errors(include_url=False, include_context=False)[0]
         raise OcnfError(f"the sample's json member is not as it should be: {problem['msg']}", code="json",
@@ -160,30 +150,6 @@ def make_entry(key: str, hashes: Mapping[str, tuple[int, str]], json: bytes, off
     return entry
 
 
-def index_from_tar(file: IO[bytes], split: str, shard: str, where: object) -> ShardIndex:
-    """The index of a tar, read from its start to its end; every byte of the tar is checked or hashed.
-
-    That the tar is the one that was written, only its SHA-256 in `dataset.json` can say: the caller compares.
-
-    Raises:
-        OcnfError: the tar is not one that this package writes; the message has the byte offset.
-    """
-    digest = hashlib.sha256()
-    samples: list[SampleEntry] = []
-    start = 0
-    for key, hashes, json in _samples(_Hashed(file, digest), where):
-        samples.append(make_entry(key, hashes, json, start))
-        if len(samples) > MAX_SAMPLES:
-            raise OcnfError("too many samples", code="too_large", where=where, expected=MAX_SAMPLES)
-        last = samples[-1].members[-1]
-        start = last.offset + last.size + padding(last.size)
-    try:
-        return ShardIndex(split=split, shard=shard, size=start + len(TRAILER), sha256=digest.hexdigest(),
-                          samples=tuple(samples))
-    except ValidationError as error:
-        raise OcnfError(error.errors(include_url=False)[0]["msg"], code="layout", where=where) from None
-
-
 def check_split(split: str) -> str:
     """The split's name, if a folder of a data set may have it."""
     if not _SPLIT.fullmatch(split) or split in _FOLDERS:
@@ -207,6 +173,11 @@ def shard_path(split: str, shard: str) -> str:
 def index_path(split: str, shard: str) -> str:
     """`train/shard-000007.json`, relative to the data set."""
     return f"{check_split(split)}/{shard.removesuffix('.tar')}.json"
+
+
+def catalogue_path(split: str) -> str:
+    """`train/catalogue.safetensors`, relative to the data set."""
+    return f"{check_split(split)}/catalogue.safetensors"
 
 
 def is_shard(name: str) -> bool:
@@ -234,56 +205,3 @@ def _check_sample(sample: SampleEntry, start: int) -> int:
         raise OcnfError("leaf counts are not those of the octree members", code="json", where=sample.key,
                         field="leaf_counts", found=sorted(sample.leaf_counts), expected=sorted(names[1:]))
     return start
-
-
-class _Hashed:
-    """A file read forward, hashing what passes."""
-
-    def __init__(self, file: IO[bytes], digest: hashlib._Hash) -> None:
-        self._file, self._digest, self.offset = file, digest, 0
-
-    def read(self, size: int) -> bytes:
-        data = self._file.read(size)
-        self._digest.update(data)
-        self.offset += len(data)
-        return data
-
-
-def _samples(tar: _Hashed, where: object) -> Iterator[tuple[str, dict[str, tuple[int, str]], bytes]]:
-    """(key, size and SHA-256 by member, json) of each sample; at the end the trailer has been checked."""
-    current, json = "", b""
-    members: dict[str, tuple[int, str]] = {}
-    while True:
-        start = tar.offset
-        block = tar.read(BLOCK)
-        if block == TRAILER[:BLOCK]:
-            break
-        try:
-            key, name, size = parse_header(block)
-        except OcnfError as error:
-            raise OcnfError(error.what, code=error.code, where=where, field=f"header at byte {start}",
-                            found=error.found, expected=error.expected) from None
-        if name == JSON:
-            if members:
-                yield current, members, json
-            current, members = key, {}
-        elif key != current or name in members or len(members) >= MAX_MEMBERS:
-            raise OcnfError("members of different samples are mixed, or one is there twice", code="layout",
-                            where=where, field=f"header at byte {start}", found=tar_name(key, name),
-                            expected=f"another member of {current}" if current else "a json member first")
-        payload = tar.read(size)
-        pad = tar.read(padding(size))
-        if len(payload) + len(pad) != size + padding(size):
-            raise OcnfError("the tar ends inside a member", code="truncated", where=where,
-                            field=tar_name(key, name), found=f"{tar.offset} bytes")
-        if any(pad):
-            raise OcnfError("the padding after a member is not zero", code="padding", where=where,
-                            field=f"{tar_name(key, name)} at byte {start}")
-        members[name] = (size, sha256_hex(payload))
-        if name == JSON:
-            json = payload
-    if members:
-        yield current, members, json
-    if tar.read(BLOCK) != TRAILER[BLOCK:] or tar.read(1):
-        raise OcnfError("the tar does not end with two blocks of zeros and nothing else", code="trailer",
-                        where=where, field=f"byte {start}")

@@ -128,7 +128,7 @@ def make_header(key: str, member: str, size: int) -> bytes:
     return _header(tar_name(key, member).encode("ascii"), size)
 
 
-def parse_header(block: bytes) -> tuple[str, str, int]:
+def parse_tar_header(block: bytes) -> tuple[str, str, int]:
     """(key, member, size) of a header block.
 
     Raises:

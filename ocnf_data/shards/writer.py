@@ -22,7 +22,6 @@ from ocnf_data.files.records import canonical_json, sha256_hex
 from ocnf_data.files.storage import Store
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.index import (
-    MAX_INDEX_BYTES,
     MAX_SAMPLES,
     SampleEntry,
     ShardIndex,
@@ -32,7 +31,11 @@ from ocnf_data.shards.index import (
     shard_name,
     shard_path,
 )
+from ocnf_data.shards.index_files import read_index
 from ocnf_data.shards.tarformat import JSON, TRAILER, make_header, padding
+
+# What an index may be wrong in, where its shard was being written when the process was killed.
+_NOT_DONE = frozenset({"missing", "too_large", "invalid", "checksum", "schema", "misplaced"})
 
 
 class ShardWriter:
@@ -117,7 +120,7 @@ class ShardWriter:
                 self._file = None
             self._index = ShardIndex(split=self.split, shard=self.shard, size=self._size,
                                      sha256=self._digest.hexdigest(), samples=tuple(self._samples))
-            self.store.remove(index)  # the index of an earlier shard must not vouch for this one
+            self.store.remove(index)  # the index of an earlier shard must not be taken for this one's
         if self._timings:
             timings = canonical_json(self._timings, indent=1)
             self.store.put_bytes(timings_path(self.split, self.shard), timings)
@@ -136,8 +139,8 @@ def timings_path(split: str, shard: str) -> str:
     return f"timings/{split}-{shard.removeprefix('shard-').removesuffix('.tar')}.json"
 
 
-def find_complete(store: Store, split: str, number: int, check_sha256: bool = False) -> ShardEntry | None:
-    """The entry of a shard that is done: its index is there, whole, and fits the tar. None otherwise.
+def find_complete(store: Store, split: str, number: int, check_sha256: bool = False) -> ShardIndex | None:
+    """The index of a shard that is done: it is there, whole, and fits the tar. None otherwise.
 
     Args:
         store: the data set's folder.
@@ -146,25 +149,18 @@ def find_complete(store: Store, split: str, number: int, check_sha256: bool = Fa
         check_sha256: read the whole tar and compare its SHA-256 too, not only its size.
     """
     shard = shard_name(number)
-    tar, name = shard_path(split, shard), index_path(split, shard)
-    if not store.exists(name) or not store.exists(tar) or store.size(name) > MAX_INDEX_BYTES:
-        return None
+    tar = shard_path(split, shard)
     try:
-        index = ShardIndex.from_json(store.read_bytes(name), store.where(name))
+        index = read_index(store, split, shard)
     except OcnfError as error:
-        if error.code in ("invalid", "checksum", "schema"):
+        if error.code in _NOT_DONE:
             return None
         raise
-    if (index.split, index.shard, index.size) != (split, shard, store.size(tar)):
+    if not store.exists(tar) or index.size != store.size(tar):
         return None
     if check_sha256 and file_sha256(store, tar) != index.sha256:
         return None
-    return ShardEntry.of(index)
-
-
-def is_complete(store: Store, split: str, number: int, check_sha256: bool = False) -> bool:
-    """Whether a shard is done; see `find_complete`."""
-    return find_complete(store, split, number, check_sha256) is not None
+    return index
 
 
 def file_sha256(store: Store, name: str) -> str:

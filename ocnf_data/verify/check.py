@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.records import sha256_hex
 from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.octree.codec import decode_raw
+from ocnf_data.shards.catalogue import ShardContents
 from ocnf_data.shards.dataset import ShardEntry
-from ocnf_data.shards.faults import Fault, end_faults, member_faults, read_member
+from ocnf_data.shards.faults import Fault, end_faults, member_faults
 from ocnf_data.shards.index import (
-    MAX_INDEX_BYTES,
-    Facts,
     Member,
     SampleEntry,
+    SampleFacts,
     ShardIndex,
-    index_from_tar,
     index_path,
     read_facts,
     shard_path,
 )
+from ocnf_data.shards.index_files import read_index
 from ocnf_data.shards.tarformat import JSON, TRAILER, parse_member
-from ocnf_data.verify.report import Problem
+from ocnf_data.shards.walk import TarWalk, index_from_tar
+from ocnf_data.verify.problems import Problem
 
 
 @dataclass
 class ShardReport:
-    """What was found in one shard."""
+    """What was found in one shard; `contents` is what a catalogue has to say of it, None without an index."""
 
     path: str
     problems: list[Problem] = field(default_factory=list)
     keys: list[str] = field(default_factory=list)
+    contents: ShardContents | None = None
     members: int = 0
     size: int = 0
 
@@ -69,6 +69,7 @@ def check_shard(store: Store, split: str, shard: str, entry: ShardEntry | None) 
                 index = index_from_tar(file, split, shard, store.where(path))
         if index is not None:
             report.keys = [sample.key for sample in index.samples]
+            report.contents = ShardContents.of(index)
             if present:
                 _check_tar(store, index, entry, report)
     except OcnfError as error:
@@ -80,53 +81,45 @@ def _stored_index(store: Store, split: str, shard: str, entry: ShardEntry | None
                   report: ShardReport) -> ShardIndex | None:
     """The index beside the tar; None where it is lost or damaged, which is reported."""
     name = index_path(split, shard)
-    if not store.exists(name):
-        report.add("missing_index", f"{name} is not there")
-    elif store.size(name) > MAX_INDEX_BYTES:
-        report.add("too_large", f"{name} is too large for an index")
-    else:
-        blob = store.read_bytes(name)
-        if entry is not None and sha256_hex(blob) != entry.index_sha256:
-            report.add("index", f"{name} is not the index that dataset.json vouches for")
-        else:
-            try:
-                index = ShardIndex.from_json(blob, name)
-            except OcnfError as error:
+    try:
+        return read_index(store, split, shard, None if entry is None else entry.index_sha256)
+    except OcnfError as error:
+        match error.code:
+            case "missing":
+                report.add("missing_index", f"{name} is not there")
+            case "too_large":
+                report.add("too_large", f"{name} is too large for an index")
+            case "checksum" | "invalid" | "misplaced" | "schema":
                 report.add("index", str(error))
-            else:
-                if (index.split, index.shard) == (split, shard):
-                    return index
-                report.add("index", f"{name} is the index of {index.split}/{index.shard}")
+            case _:
+                raise
     return None
 
 
 def _check_tar(store: Store, index: ShardIndex, entry: ShardEntry | None, report: ShardReport) -> None:
     """Walk the tar by its index, hashing all of it."""
-    digest = hashlib.sha256()
     with store.open(report.path) as file, storage_errors(store.where(report.path)):
+        walk = TarWalk(file)
         cut = False
-        for sample, member in index.members():
-            parts = read_member(file, member)
-            for part in parts:
-                digest.update(part)
-            faults = list(member_faults(sample.key, member, *parts))
+        for sample, member, raw in walk.along(index):
+            faults = list(member_faults(sample.key, member, raw))
             report.add_faults(faults)
             codes = {fault.code for fault in faults}
             if cut := "truncated" in codes:  # and so is everything behind it
                 break
             if "checksum" not in codes:
-                _check_payload(sample, member, parts[1], report)
+                _check_payload(sample, member, raw.payload, report)
             report.members += 1
-        end = file.read(len(TRAILER) + 1)
+        end = walk.take(len(TRAILER) + 1)
         if not cut:
             report.add_faults(end_faults(end, index.size))
-        while end:
-            digest.update(end)
-            end = file.read(2**20)
-        report.size = file.tell()
+        surplus = len(end) > len(TRAILER)  # it may be terabytes, and is not the file whatever it hashes to
+        if not surplus:
+            walk.to_the_end()
+        report.size = walk.offset
     expected = entry.sha256 if entry is not None else index.sha256
-    if digest.hexdigest() != expected:
-        report.add("sha256", f"the tar has SHA-256 {digest.hexdigest()[:12]}..., not {expected[:12]}...")
+    if not surplus and walk.sha256 != expected:
+        report.add("sha256", f"the tar has SHA-256 {walk.sha256[:12]}..., not {expected[:12]}...")
     if entry is not None and entry.samples != len(index.samples):
         report.add("count", f"{len(index.samples)} samples, where dataset.json says {entry.samples}")
 
@@ -139,7 +132,7 @@ def _check_payload(sample: SampleEntry, member: Member, payload: bytes, report: 
     try:
         if member.name == JSON:
             facts = read_facts(payload, f"{sample.key}.{JSON}")
-            if facts != Facts(**sample.model_dump(exclude={"members"})):
+            if facts != SampleFacts(**sample.model_dump(exclude={"members"})):
                 add("json", "key, category, source or leaf counts are not those of the index")
             return
         _, encoding, resolution = parse_member(member.name)

@@ -1,6 +1,7 @@
 """Setting damaged shards aside, so that generation makes exactly those again. Nothing is ever deleted.
 
-`dataset.json` stays where it is: it says what the new shards must hash to.
+`dataset.json` stays where it is: it says what the new shards must hash to. Catalogues follow from the
+indices, and are made from them.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from itertools import count
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store, storage_errors
-from ocnf_data.shards.dataset import load_dataset
-from ocnf_data.shards.index import index_path, is_shard, shard_path
-from ocnf_data.shards.reader import rebuild_index
-from ocnf_data.verify.report import Problem
+from ocnf_data.shards.catalogue import made_catalogue
+from ocnf_data.shards.dataset import FileEntry, load_dataset, write_dataset
+from ocnf_data.shards.index import catalogue_path, index_path, is_shard, shard_path
+from ocnf_data.shards.index_files import rebuild_index
+from ocnf_data.verify.problems import Problem, VerifyReport
 from ocnf_data.verify.verify import verify
 
 QUARANTINE = "quarantine"
@@ -49,7 +51,11 @@ def find_damaged(
     url: str | Store, jobs: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> list[DamagedShard]:
     """The shards of a data set that are not whole, missing ones included, in the order of their paths."""
-    report = verify(url, jobs, progress)
+    return damaged_shards(verify(url, jobs, progress))
+
+
+def damaged_shards(report: VerifyReport) -> list[DamagedShard]:
+    """As `find_damaged`, of a report that is there already."""
     damaged = []
     for path in report.damaged_shards:
         split, _, shard = path.partition("/")
@@ -59,7 +65,7 @@ def find_damaged(
 
 
 def restore_index(url: str | Store, split: str, shard: str) -> bool:
-    """Write the index of a shard anew, if the tar is whole and `dataset.json` vouches for it.
+    """Write the index of a shard again, if the tar is whole and `dataset.json` lists it.
 
     Returns:
         False where the tar is not whole: then the shard has to be generated again.
@@ -83,8 +89,35 @@ def restore_index(url: str | Store, split: str, shard: str) -> bool:
     return True
 
 
+def restore_catalogues(url: str | Store) -> list[str]:
+    """Write the catalogues anew that are lost, damaged, or not there yet in a data set of an earlier version.
+
+    They are made from the indices, which must be whole. Where `dataset.json` does not list exactly these, it
+    is written again, last; the data set's identity stays.
+
+    Returns:
+        The names of the files that were written, without `dataset.json`.
+    """
+    store = url if isinstance(url, Store) else Store(url)
+    info = load_dataset(store)
+    written = []
+    files = {entry.name: entry for entry in info.files}
+    for split in info.splits:
+        name = catalogue_path(split)
+        data = made_catalogue(store, info, split).to_bytes()
+        files[name] = FileEntry.of(name, data)
+        if not _is_file(store, name, data):
+            store.put_bytes(name, data)
+            written.append(name)
+    if tuple(files.values()) != info.files:
+        write_dataset(store, info.model_copy(update={"files": tuple(files.values())}))
+    return written
+
+
 def quarantine(url: str | Store, path: str) -> list[str]:
-    """Move a shard and its index to `quarantine/`; what is there already keeps its name.
+    """Move a shard and its index, or what is in their places, to `quarantine/`.
+
+    What is there already keeps its name.
 
     Args:
         url: folder or fsspec URL of the data set.
@@ -100,15 +133,26 @@ def quarantine(url: str | Store, path: str) -> list[str]:
     split, _, shard = path.partition("/")
     moved = []
     for name in (index_path(split, shard), path):
-        if store.exists(name):
+        if _is_taken(store, name):
             moved.append(_move(store, name, _free_name(store, f"{QUARANTINE}/{name}")))
     return moved
 
 
+def _is_file(store: Store, name: str, data: bytes) -> bool:
+    """Whether the file is there and holds exactly this."""
+    return store.exists(name) and store.size(name) == len(data) and store.read_bytes(name) == data
+
+
+def _is_taken(store: Store, name: str) -> bool:
+    """Whether anything has the name: a file, or locally a folder, a pipe or a link to nowhere."""
+    path = store.local_path(name)
+    return store.exists(name) if path is None else path.exists() or path.is_symlink()
+
+
 def _free_name(store: Store, name: str) -> str:
-    if not store.exists(name):
+    if not _is_taken(store, name):
         return name
-    return next(free for number in count(1) if not store.exists(free := f"{name}.{number}"))
+    return next(free for number in count(1) if not _is_taken(store, free := f"{name}.{number}"))
 
 
 def _move(store: Store, name: str, target: str) -> str:

@@ -60,7 +60,7 @@ class KeptViews:
         mesh_sha256: of the mesh's file.
         fingerprint: `view_fingerprint` of the manifest they were rendered for.
         normalisation: from the mesh's own coordinates to the cube that the cameras look at.
-        extent: side of that cube, metres.
+        extent: edge length of that cube, metres.
     """
 
     views: Views

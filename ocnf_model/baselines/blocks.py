@@ -89,7 +89,7 @@ class State:
         return cls(histogram, histogram.rows >= 2)
 
     def grown(self, needed: Bool) -> State:
-        """The same with the neighbours stored that `passes.touched` asks for."""
+        """This state with the neighbours stored that `passes.touched` asks for."""
         stored = self.slots >= 0
         coords = np.argwhere(stored)
         for axis in range(3):

@@ -20,7 +20,7 @@ from ocnf_model.metrics import grid_mad_mm
 Case = tuple[GridOctree, GridOctree, float]
 """(histogram, ground truth TSDF / tau, tau in metres) of one model."""
 
-DEFAULT_WEIGHTS = (0.4, 0.64, 1.0, 1.6, 2.5, 4.0, 6.4)
+CANDIDATE_WEIGHTS = (0.4, 0.64, 1.0, 1.6, 2.5, 4.0, 6.4)
 _MIN_WEIGHTS = 6
 _MAX_WEIGHTS = 24
 _PLATEAU = 1e-4
@@ -53,7 +53,7 @@ class WeightChoice:
         return "\n".join(["| weight | MAD mm |", "| -----: | -----: |", *rows])
 
 
-def choose_weight(cases: Iterable[Case], weights: Sequence[float] = DEFAULT_WEIGHTS, *,
+def choose_weight(cases: Iterable[Case], weights: Sequence[float] = CANDIDATE_WEIGHTS, *,
                   iterations: int = 5000, tolerance: float = 5e-5,
                   progress: Callable[[float, int, float], None] | None = None) -> WeightChoice:
     """The weight with the least MAD, mean over the models.

@@ -8,12 +8,30 @@ are added up in the order of the blocks, so results do not depend on the number 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
 
 from ocnf_data.arrays import F32, F64, I32, Bool
 
 FREE, UNSEEN, OUTSIDE = -1, -2, -3
+
+
+class Votes(NamedTuple):
+    """The histogram: `bins` (rows, n, 512), and (blocks,) the row of each block."""
+
+    bins: F32
+    row: I32
+
+
+class PrimalStep(NamedTuple):
+    """Step length t, the data term's weight, relaxation, and the share that the anchor does not keep."""
+
+    t: np.float32
+    weight: np.float32
+    relax: np.float32
+    share: np.float32
 
 
 @njit(cache=True, nogil=True)
@@ -54,9 +72,10 @@ def _forward(u: F32, upper: I32, b: int, axis: int, shifted: F32) -> None:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def primal_pass(u: F32, over: F32, p: F32, lower: I32, h: F32, h_row: I32, t: np.float32,
-                weight: np.float32, relax: np.float32, anchor: F32, share: np.float32) -> None:
+def primal_pass(u: F32, over: F32, p: F32, lower: I32, votes: Votes, step: PrimalStep, anchor: F32) -> None:
     """u~ = prox(u + t div p); over = 2 u~ - u; u += relax (u~ - u); then u := anchor + share (u - anchor)."""
+    t, weight, relax, share = step
+    h, h_row = votes
     n = h.shape[1]
     pull = np.float32(2) * t * weight
     for b in prange(len(u)):
@@ -67,9 +86,9 @@ def primal_pass(u: F32, over: F32, p: F32, lower: I32, h: F32, h_row: I32, t: np
         for i in range(512):
             w[i] = own[i] + t * w[i] + t * weight
         for j in range(n):
-            votes, centre = h[h_row[b], j], np.float32(2 * j / (n - 1) - 1)
+            vote, centre = h[h_row[b], j], np.float32(2 * j / (n - 1) - 1)
             for i in range(512):
-                low = w[i] - pull * votes[i]
+                low = w[i] - pull * vote[i]
                 low = low if low > centre else centre
                 w[i] = low if low < w[i] else w[i]
         twice = over[b]
@@ -110,12 +129,13 @@ def dual_pass(over: F32, p: F32, upper: I32, sigma: np.float32, relax: np.float3
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def energies(u: F32, p: F32, lower: I32, upper: I32, h: F32, h_row: I32, weight: float, out: F64) -> None:
+def energies(u: F32, p: F32, lower: I32, upper: I32, votes: Votes, weight: float, out: F64) -> None:
     """Primal and dual energy of each block to out (blocks, 2): |grad u| + G(u), and -G*(div p).
 
     G(u) = weight sum_j h_j |u - l_j| on [-1, 1] is piecewise linear between the l_j, the first and last of
     which are the interval's ends, so G*(q) = max over j of q l_j - G(l_j).
     """
+    h, h_row = votes
     n = h.shape[1]
     gap = 2 / (n - 1)
     for b in prange(len(u)):

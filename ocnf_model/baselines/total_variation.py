@@ -26,7 +26,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.bits import pack_block
 from ocnf_model.baselines.blocks import Histogram, State
-from ocnf_model.baselines.passes import FREE, dual_pass, energies, primal_pass, touched
+from ocnf_model.baselines.passes import FREE, PrimalStep, Votes, dual_pass, energies, primal_pass, touched
 
 _STEP = 1 / math.sqrt(12)
 """sqrt(t sigma); |grad|^2 <= 12 in 3-D, so t sigma <= 1/12 converges."""
@@ -38,12 +38,12 @@ _PATIENCE, _CIRCLING = 400, 1e-2
 _NEW_ANCHOR = 0.3
 """A new anchor is taken where the gap is this share of the last one's, or after 0.4 of all iterations."""
 _ROUNDING = 1e-7
-"""Of the data term's range a voxel: what float32 can get wrong where the energy is nearly 0."""
+"""The share of the data term's range, per voxel, that float32 can get wrong where the energy is nearly 0."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A minimiser of the TV-L1 energy, with a bound of what it lacks.
+    """A minimiser of the TV-L1 energy, with a bound on its distance from the minimum.
 
     Attributes:
         state: u and its dual variable, by blocks.
@@ -117,20 +117,22 @@ def _iterate(state: State, weight: float, steps: int, since_anchor: int) -> None
     # Where the data term is weak, u has far to go, and the dual variable does not.
     ratio = min(max(0.2 / weight, 0.3), 3.0)
     t, sigma = np.float32(ratio * _STEP), np.float32(_STEP / ratio)
+    votes = Votes(state.histogram.h, state.h_row)
     for step in range(1, steps + 1):
         relax = np.float32(2 if state.anchored else _RELAXATION)
         share = np.float32(1 - 1 / (since_anchor + step + 1) if state.anchored else 1)
         if step == steps:  # a plain step ends inside the constraints, and on exact constants
             relax = share = np.float32(1)
-        primal_pass(state.u, state.over, state.p, state.lower, state.histogram.h, state.h_row, t,
-                    np.float32(weight), relax, state.anchor_u, share)
+        primal_pass(state.u, state.over, state.p, state.lower, votes,
+                    PrimalStep(t, np.float32(weight), relax, share), state.anchor_u)
         dual_pass(state.over, state.p, state.upper, sigma, relax, state.anchor_p, share)
 
 
 def _evaluate(state: State, weight: float) -> tuple[float, float]:
     """E(u) and E(u) - D(p) over the whole grid: blocks that are not stored add 0 to both."""
     sums = np.zeros((len(state.u), 2))
-    energies(state.u, state.p, state.lower, state.upper, state.histogram.h, state.h_row, weight, sums)
+    votes = Votes(state.histogram.h, state.h_row)
+    energies(state.u, state.p, state.lower, state.upper, votes, weight, sums)
     primal, dual = sums.sum(axis=0)
     return float(primal), float(primal - dual)
 

@@ -6,21 +6,14 @@ import numpy as np
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.fusion import DepthPyramid, Origin, Resolution, fuse_tsdf
 from ocnf_data.octree import GridOctree
-from ocnf_data.views.cameras import Views
-
-
-def volfus(views: Views | DepthPyramid, resolution: Resolution, extent: float = 3.0,
-           truncation: float | None = None, *, origin: Origin = (0.0, 0.0, 0.0)) -> GridOctree:
-    """TSDF / tau in [-1, 1], 1 channel, of noisy views; arguments as for `ocnf_data.fuse_tsdf`."""
-    return fuse_tsdf(views, resolution, extent, truncation, origin=origin)
 
 
 def volfus_from_encoding(octree: GridOctree, encoding: Encoding) -> GridOctree:
-    """The same from a stored input: the TSDF itself, or (1 - 2 o) t of TDF and occupancy.
+    """TSDF / tau in [-1, 1], 1 channel, of a stored input: TSDF as it is, or (1 - 2o) t of TDF and occupancy.
 
-    A histogram does not have it: votes of views up to 1.125 tau in front of a surface are not cut at tau.
+    From views it is what `ocnf_data.fuse_tsdf` gives. A histogram does not have it: votes of views up to
+    1.125 tau in front of a surface are not cut at tau.
 
     Raises:
         OcnfError: another encoding, or an octree with other channels than it has.

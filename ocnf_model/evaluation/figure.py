@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.render.shade import shade
-from ocnf_model.evaluation.measure import Surface
+from ocnf_model.evaluation.measure import TRUTH, MeshArrays, Row
 
-TRUTH = "Ground truth"
 _INCHES = 2.6
 _PIXELS = 420
 
 
-def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: str = "z") -> bytes:
+def caption(row: Row) -> str:
+    """What stands below a reconstruction: its errors."""
+    surface = row.surface
+    parts = [(row.mad_mm, f"MAD {row.mad_mm:.2f} mm"), (surface.f_score, f"F {surface.f_score:.2f}"),
+             (surface.chamfer_voxels, f"Chamfer {surface.chamfer_voxels:.2f} voxels")]
+    return ", ".join(text for value, text in parts if not math.isnan(value))
+
+
+def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up: str = "z",
+                  captions: Mapping[tuple[int, str], str] | None = None) -> bytes:
     """A PNG of one model's surfaces.
 
     Args:
@@ -24,6 +33,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
             What is missing leaves its place empty.
         title: above all.
         up: which axis points up.
+        captions: a line below each, likewise; None for none.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -31,26 +41,28 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], Surface], title: str, up: s
     except ImportError as error:
         raise OcnfError("the figure needs matplotlib", code="missing_extra",
                         fix="pip install 'ocnf[generate]'") from error
-    sides = sorted({side for side, _ in surfaces})
+    resolutions = sorted({resolution for resolution, _ in surfaces})
     methods = sorted(dict.fromkeys(method for _, method in surfaces), key=lambda method: method == TRUTH)
-    frame = surfaces[sides[-1], TRUTH][0]
+    frame = surfaces[resolutions[-1], TRUTH][0]
     if not len(frame):
         frame = np.array([[-1.5] * 3, [1.5] * 3])
-    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, _INCHES * len(sides) + 0.6), dpi=150)
-    axes = figure.subplots(len(sides), len(methods), squeeze=False)
-    for row, side in enumerate(sides):
+    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, _INCHES * len(resolutions) + 0.6), dpi=150)
+    axes = figure.subplots(len(resolutions), len(methods), squeeze=False)
+    for row, resolution in enumerate(resolutions):
         for column, method in enumerate(methods):
             ax = axes[row, column]
-            if (side, method) in surfaces:
-                ax.imshow(shade(*surfaces[side, method], size=_PIXELS, up=up, frame=frame, supersample=2),
+            if (resolution, method) in surfaces:
+                ax.imshow(shade(*surfaces[resolution, method], size=_PIXELS, up=up, frame=frame,
+                                supersample=2),
                           interpolation="lanczos")
             ax.set_xticks([])
             ax.set_yticks([])
             ax.spines[:].set_visible(False)
             if row == 0:
                 ax.set_title(method, fontsize=11)
+            ax.set_xlabel((captions or {}).get((resolution, method), ""), fontsize=7, labelpad=2)
             if column == 0:
-                ax.set_ylabel(f"{side}³", fontsize=11)
+                ax.set_ylabel(f"{resolution}³", fontsize=11)
     figure.suptitle(title, fontsize=11)
     figure.tight_layout(pad=0.3, rect=(0, 0, 1, 1 - 0.3 / figure.get_figheight()))
     picture = io.BytesIO()

@@ -1,23 +1,12 @@
-"""The methods that are compared, by name, and the network level by level."""
+"""The methods that are compared, by name, and TV-L1's weights. Imports nothing heavy, for command lines."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Final
 
-import numpy as np
-import torch
-
-from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.octree import GridOctree
-from ocnf_model.baselines import volfus_from_encoding
-from ocnf_model.devices import memory_errors, wait_for
-from ocnf_model.network import LevelOutput, OctNetFusion
-from ocnf_model.octree.batch import OctreeBatch
 
 
 class Method(StrEnum):
@@ -29,7 +18,7 @@ class Method(StrEnum):
 
     @property
     def label(self) -> str:
-        """As tables and figures have it."""
+        """The name in tables and figures."""
         return {"volfus": "VolFus", "tvl1": "TV-L1", "ours": "Ours"}[self.value]
 
 
@@ -53,47 +42,3 @@ views, sigma 0.02), and the best ones for the demo's procedural shapes too."""
 def default_weight(resolution: int) -> float:
     """TV-L1's weight at a resolution, or at the nearest one that there is a weight for."""
     return DEFAULT_WEIGHTS[min(DEFAULT_WEIGHTS, key=lambda known: abs(known - resolution))]
-
-
-def stored_volfus(octree: GridOctree, encoding: Encoding) -> GridOctree:
-    """VolFus's TSDF / tau from a stored input.
-
-    It is exact (to the rounding of storage, 1/255) from `tsdf` and `tdf_occupancy`. From `histogram` it is an
-    approximation, the mean of the bins, the last one taken at tau: a vote between 0.875 tau and 1.125 tau in
-    front of a surface is split between two bins, which hides on which side of tau it was.
-    """
-    if encoding is not Encoding.HISTOGRAM:
-        return volfus_from_encoding(octree, encoding)
-    centres = np.minimum(np.linspace(-1.125, 1.125, octree.channels, dtype=np.float32), 1)
-    return octree.with_data(np.clip(octree.data @ centres, -1, 1)[:, None])
-
-
-@dataclass(frozen=True, eq=False)
-class Reached:
-    """What the network has after one of its levels.
-
-    Attributes:
-        reconstruction: of that level, on the CPU.
-        seconds: since the inputs were on the device: this level and all before it, structure work included.
-    """
-
-    reconstruction: OctreeBatch
-    seconds: float
-
-
-@torch.no_grad()
-def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch],
-               device: torch.device) -> Iterator[Reached]:
-    """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at."""
-    inputs = [encoded.to(device) for encoded in inputs]
-    before: LevelOutput | None = None
-    seconds = 0.0
-    wait_for(device)
-    for level, encoded in zip(network.levels, inputs, strict=False):
-        start = time.perf_counter()
-        size = "x".join(map(str, encoded.shape))
-        with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"):
-            before = level(network.level_input(before, encoded))
-            wait_for(device)
-        seconds += time.perf_counter() - start
-        yield Reached(before.reconstruction.to("cpu"), seconds)

@@ -13,12 +13,13 @@ from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_model.evaluation.methods import Method
+from ocnf_model.measures.regions import EXACT, NEARLY
 
 _VOLFUS_SOURCES = (Encoding.TSDF, Encoding.TDF_OCCUPANCY, Encoding.HISTOGRAM)  # the best one first
 
 
 @dataclass(frozen=True)
-class Facts:
+class DatasetFacts:
     """What the manifest of a data set says that matters here.
 
     Attributes:
@@ -28,6 +29,8 @@ class Facts:
         is_occupancy: whether the ground truth is occupancy, not TSDF.
         truncation_voxels: tau in voxels of any resolution.
         taus: the same in metres, by resolution.
+        extent: size of the cube in metres.
+        source: kind of what the data set was made of: `shapes`, `folder`, ...
     """
 
     url: str
@@ -36,13 +39,15 @@ class Facts:
     is_occupancy: bool
     truncation_voxels: float
     taus: Mapping[int, float]
+    extent: float
+    source: str
 
     @classmethod
-    def read(cls, url: str) -> Facts:
+    def read(cls, url: str) -> DatasetFacts:
         """The facts of the data set at a folder or URL."""
         manifest: dict[str, Any] = dict(load_dataset(url).manifest)
         try:
-            resolutions = tuple(sorted(int(side) for side in manifest["resolutions"]))
+            resolutions = tuple(sorted(int(resolution) for resolution in manifest["resolutions"]))
             voxels, extent = float(manifest["truncation_voxels"]), float(manifest["normalise"]["extent"])
             return cls(
                 url=url,
@@ -51,7 +56,9 @@ class Facts:
                           for entry in manifest["inputs"]},
                 is_occupancy=manifest["target"] == "occupancy",
                 truncation_voxels=voxels,
-                taus={side: voxels * extent / side for side in resolutions},
+                taus={resolution: voxels * extent / resolution for resolution in resolutions},
+                extent=extent,
+                source=str(manifest["source"]["kind"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise OcnfError("the data set's manifest lacks what evaluation needs", code="damaged", where=url,
@@ -59,11 +66,24 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a variant is evaluated with: for each method the stored encoding that it takes."""
+class VariantPlan:
+    """What a variant is evaluated with.
+
+    Attributes:
+        variant: its name.
+        sources: for each method the stored encoding that it takes.
+        seen: the stored encoding that tells best which voxels the inputs see; None where none does.
+    """
 
     variant: str
     sources: Mapping[Method, Encoding]
+    seen: Encoding | None = None
+
+    @property
+    def encodings(self) -> list[Encoding]:
+        """What is read, each once."""
+        wanted = [*self.sources.values(), *([] if self.seen is None else [self.seen])]
+        return list(dict.fromkeys(wanted))
 
     def is_approximate(self, method: Method) -> bool:
         """Whether the method is VolFus from a histogram."""
@@ -74,8 +94,8 @@ class Plan:
         return method.label + "*" * self.is_approximate(method)
 
 
-def plan_variants(facts: Facts, methods: Sequence[Method], encoding: Encoding | None, *,
-                  required: bool) -> tuple[list[Plan], list[str]]:
+def plan_variants(facts: DatasetFacts, methods: Sequence[Method], encoding: Encoding | None, *,
+                  required: bool) -> tuple[list[VariantPlan], list[str]]:
     """A plan for each variant that some method can be run on, and notes on what cannot.
 
     Args:
@@ -99,7 +119,8 @@ def plan_variants(facts: Facts, methods: Sequence[Method], encoding: Encoding | 
             else:
                 sources[method] = found
         if sources:
-            plans.append(Plan(variant, sources))
+            seen = next((one for one in (*EXACT, *NEARLY) if one in stored), None)
+            plans.append(VariantPlan(variant, sources, seen))
             if sources.get(Method.VOLFUS) is Encoding.HISTOGRAM:
                 notes.append(f"VolFus* of {variant} is the mean of the histogram, an approximation; add tsdf "
                              "to the encodings of the data set's inputs to have it exactly")
@@ -113,10 +134,15 @@ def plan_variants(facts: Facts, methods: Sequence[Method], encoding: Encoding | 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """One sample: octrees by resolution, inputs by encoding first."""
+    """One sample: octrees by resolution, inputs by encoding first.
+
+    Attributes:
+        facts: the sample's `json` member.
+    """
 
     key: str
     category: str
+    facts: Mapping[str, Any]
     truths: Mapping[int, GridOctree]
     inputs: Mapping[Encoding, Mapping[int, GridOctree]]
 
@@ -136,7 +162,7 @@ class Models:
         OcnfError: the data set lacks what is asked for, or is damaged: where, and what there is.
     """
 
-    def __init__(self, facts: Facts, split: str, variant: str, encodings: Sequence[Encoding],
+    def __init__(self, facts: DatasetFacts, split: str, variant: str, encodings: Sequence[Encoding],
                  resolutions: Sequence[int], limit: int | None = None) -> None:
         if limit is not None and limit < 1:
             raise OcnfError("no models are asked for", field="limit", found=limit, expected="1 or more")
@@ -162,7 +188,8 @@ class Models:
         return Model(
             key=first.keys[0],
             category=first.categories[0],
-            truths={side: octrees.grids()[0] for side, octrees in first.targets.items()},
-            inputs={encoding: {side: octrees.grids()[0] for side, octrees in batch.inputs.items()}
+            facts=first.meta[0],
+            truths={resolution: octrees.grids()[0] for resolution, octrees in first.targets.items()},
+            inputs={encoding: {resolution: octrees.grids()[0] for resolution, octrees in batch.inputs.items()}
                     for encoding, batch in zip(self._encodings, batches, strict=True)},
         )

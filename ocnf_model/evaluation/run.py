@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ocnf_data.files.storage import Store
-from ocnf_data.octree import GridOctree
 from ocnf_model.checkpoint import PRETRAINED, open_run, run_path
 from ocnf_model.devices import pick_device
-from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
-from ocnf_model.evaluation.measure import Bench, Field, Row, Surface, Weight, level_sides
+from ocnf_model.evaluation.figure import caption, draw_surfaces
+from ocnf_model.evaluation.measure import TRUTH, Bench, MeshArrays, Row, Weight, level_resolutions
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
-from ocnf_model.evaluation.models import Facts, Models, Plan, plan_variants
-from ocnf_model.evaluation.report import Summary, markdown, print_tables, summarise, to_csv
+from ocnf_model.evaluation.models import DatasetFacts, Models, VariantPlan, plan_variants
+from ocnf_model.evaluation.origins import SHAPES, Origins
+from ocnf_model.evaluation.summary import Summary, summarise, to_csv
+from ocnf_model.evaluation.tables import markdown, print_tables
 from ocnf_model.evaluation.weights import read_weights, run_choose_weight
+from ocnf_model.measures.regions import EXACT
 from ocnf_model.network import OctNetFusion
-from ocnf_model.octree.batch import OctreeBatch
 
 __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 
@@ -38,6 +39,8 @@ class Evaluation:
         notes: what was left out or is approximate, a clause each.
         figures: PNG by file name.
         title: the data set, split and run.
+        ceilings: the ground truth of each resolution, measured as a method is: the most that a method of that
+            resolution can reach of the true surface.
     """
 
     rows: list[Row]
@@ -45,12 +48,17 @@ class Evaluation:
     notes: list[str]
     figures: dict[str, bytes]
     title: str
+    ceilings: list[Summary] = field(default_factory=list)
 
     def write(self, out: Path) -> list[Path]:
-        """Write `evaluation.md`, `summary.csv`, `models.csv` and the figures into a folder."""
-        files = {"evaluation.md": markdown(self.summaries, self.title, self.notes).encode(),
-                 "summary.csv": to_csv(self.summaries).encode(), "models.csv": to_csv(self.rows).encode(),
-                 **self.figures}
+        """Write `evaluation.md`, `summary.csv`, `models.csv` and the figures into a folder.
+
+        `summary.csv` has the ceilings too, as the method `Ground truth`.
+        """
+        text = markdown(self.summaries, self.title, self.notes, self.ceilings)
+        files = {"evaluation.md": text.encode(),
+                 "summary.csv": to_csv([*self.summaries, *self.ceilings]).encode(),
+                 "models.csv": to_csv(self.rows).encode(), **self.figures}
         store = Store(out)
         for name, content in files.items():
             store.put_bytes(name, content)
@@ -59,7 +67,8 @@ class Evaluation:
 
 def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None = None, device: str = "auto",
                  methods: list[str] | None = None, weights: Path | None = None, limit: int | None = None,
-                 n_figures: int = 3, up: str = "z", console: Console | None = None) -> Evaluation:
+                 n_figures: int = 3, up: str = "z", console: Console | None = None,
+                 meshes: Path | None = None) -> Evaluation:
     """Evaluate a run, print the tables and write them.
 
     Args:
@@ -76,24 +85,28 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         n_figures: how many models are drawn, each of another category.
         up: which axis of the models points up, y or z.
         console: to print to.
+        meshes: the folder that the data set's meshes were read from: surfaces are then measured against the
+            meshes themselves. None: against the meshes where they are procedural, else against the surface
+            of the finest ground truth.
 
     Raises:
         OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
     """
     console = console or Console()
-    network, sides = None, None
+    network, resolutions = None, None
     if methods is None or Method.OURS in methods:
         trained = open_run(run)
-        trained.check_fits(data, truncation_voxels=Facts.read(data).truncation_voxels)
-        network, sides = trained.network.to(pick_device(device)), trained.resolutions
+        trained.check_truncation(data, DatasetFacts.read(data).truncation_voxels)
+        network, resolutions = trained.network.to(pick_device(device)), trained.resolutions
     if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
         weights = kept
     if out is None and run != PRETRAINED and run_path(run).is_dir():
         out = run_path(run) / "evaluation" / split
-    found = evaluate(network, data, sides=sides, split=split, methods=methods, weights=weights, limit=limit,
-                     n_figures=n_figures if out is not None else 0, up=up, console=console,
+    found = evaluate(network, data, resolutions=resolutions, split=split, methods=methods, weights=weights,
+                     limit=limit, n_figures=n_figures if out is not None else 0, up=up, console=console,
+                     meshes=meshes,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
-    print_tables(console, found.summaries, found.notes)
+    print_tables(console, found.summaries, found.notes, found.ceilings)
     if out is None:
         console.print("Nothing is written; --out DIR keeps the tables and draws figures.")
     else:
@@ -102,16 +115,16 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
     return found
 
 
-def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | None = None,
+def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[int] | None = None,
              split: str = "test", methods: Sequence[str] | None = None,
              weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
-             console: Console | None = None, title: str = "") -> Evaluation:
+             console: Console | None = None, title: str = "", meshes: Path | None = None) -> Evaluation:
     """Evaluate a network where it is, or the baselines alone.
 
     Args:
         network: in evaluation mode; None: the baselines alone.
         data: a data set, folder or URL.
-        sides: resolutions of the network's levels; None: the data set's, from the lowest on.
+        resolutions: resolutions of the network's levels; None: the data set's, from the lowest on.
         split: of it.
         methods: as for `run_evaluate`.
         weights: TV-L1's, a file; None: `DEFAULT_WEIGHTS`.
@@ -120,53 +133,75 @@ def evaluate(network: OctNetFusion | None, data: str, *, sides: Sequence[int] | 
         up: which axis of the models points up.
         console: for the progress; None shows none.
         title: of the report.
+        meshes: as for `run_evaluate`.
     """
-    facts = Facts.read(data)
+    facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
     if network is None and methods is None:
         chosen = tuple(method for method in chosen if method is not Method.OURS)
     levels: list[int] = []
     if network is not None and Method.OURS in chosen:
-        levels = level_sides(facts, sides or facts.resolutions[: len(network.levels)])
+        levels = level_resolutions(facts, resolutions or facts.resolutions[: len(network.levels)])
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
     weight = _weights(weights, plans, facts.resolutions, notes)
+    origins = Origins(facts, meshes)
+    notes += _measured_against(facts, origins, plans)
     rows: list[Row] = []
+    ceilings: list[Row] = []
     figures: dict[str, bytes] = {}
-    sets = [Models(facts, split, plan.variant, list(dict.fromkeys(plan.sources.values())), facts.resolutions,
-                   limit) for plan in plans]
+    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit) for plan in plans]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for plan, models in zip(plans, sets, strict=True):
             task = progress.add_task(plan.variant, total=len(models))
-            bench, drawn = Bench(facts, plan, weight, network, levels), set[str]()
+            bench, drawn = Bench(facts, plan, weight, network, levels, origins), set[str]()
             for model in models:
                 draw = len(drawn) < n_figures and model.category not in drawn
-                surfaces: dict[tuple[int, str], Surface] = {}
+                surfaces: dict[tuple[int, str], MeshArrays] = {}
+                captions: dict[tuple[int, str], str] = {}
                 for result in bench.run(model):
-                    rows.append(result.row)
+                    (ceilings if result.row.method == TRUTH else rows).append(result.row)
                     if draw:
-                        surfaces[result.row.resolution, result.row.method] = result.field.surface()
+                        place = result.row.resolution, result.row.method
+                        surfaces[place] = result.field.mesh(facts.extent)
+                        captions[place] = caption(result.row)
                 if draw:
                     drawn.add(model.category)
-                    surfaces |= {(side, TRUTH): _surface(truth, facts)
-                                 for side, truth in model.truths.items()}
                     figures[f"{plan.variant}-{model.key}.png"] = draw_surfaces(
-                        surfaces, f"{model.key}, {plan.variant}", up)
+                        surfaces, f"{model.key}, {plan.variant}", up, captions)
                 progress.advance(task)
-    return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}")
+    return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}", summarise(ceilings))
 
 
-def _surface(truth: GridOctree, facts: Facts) -> Surface:
-    return Field(OctreeBatch.from_grids([truth]), facts.is_occupancy).surface()
+def _measured_against(facts: DatasetFacts, origins: Origins, plans: Sequence[VariantPlan]) -> list[str]:
+    """Notes on what surfaces and regions are measured by."""
+    if origins.available:
+        whose = "procedural meshes" if facts.source == SHAPES else "meshes"
+        notes = [f"Surfaces are measured against the {whose}, as far as a view of the rig sees them"]
+    else:
+        notes = [f"Surfaces are measured against that of the ground truth at {max(facts.resolutions)}³; "
+                 "--meshes DIR measures against the meshes"]
+    for plan in plans:
+        if facts.is_occupancy or plan.seen in EXACT or origins.available:
+            continue
+        if plan.seen is None:
+            notes.append(f"{plan.variant} stores no encoding that tells what its views see: no MAD by "
+                         "region; --meshes DIR makes the views again")
+        else:
+            notes.append(f"What the views of {plan.variant} see is read from {plan.seen}, rounded: voxels "
+                         "seen just before -tau count as unseen; --meshes DIR makes the views again")
+    return notes
 
 
-def _weights(path: Path | None, plans: Sequence[Plan], sides: Sequence[int], notes: list[str]) -> Weight:
+def _weights(path: Path | None, plans: Sequence[VariantPlan], resolutions: Sequence[int],
+             notes: list[str]) -> Weight:
     """TV-L1's weights, with a note on those that nobody chose for this data."""
     known = {} if path is None else read_weights(path)
-    wanted = [(plan.variant, side) for plan in plans if Method.TVL1 in plan.sources for side in sides]
-    lacking = [f"{variant} at {side}³" for variant, side in wanted if (variant, side) not in known]
+    variants = [plan.variant for plan in plans if Method.TVL1 in plan.sources]
+    lacking = [f"{variant} at {resolution}³" for variant in variants for resolution in resolutions
+               if (variant, resolution) not in known]
     if lacking:
         notes.append(f"TV-L1's weight is the package's default for {', '.join(lacking)}, not one chosen on "
                      "this data's validation split")
-    return lambda variant, side: known.get((variant, side), default_weight(side))
+    return lambda variant, resolution: known.get((variant, resolution), default_weight(resolution))

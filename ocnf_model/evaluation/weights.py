@@ -19,8 +19,8 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store, storage_errors
 from ocnf_model.baselines import WeightChoice, choose_weight
-from ocnf_model.baselines.crossval import DEFAULT_WEIGHTS
-from ocnf_model.evaluation.models import Facts, Models
+from ocnf_model.baselines.crossval import CANDIDATE_WEIGHTS
+from ocnf_model.evaluation.models import DatasetFacts, Models
 
 _SCHEMA = 1
 _MAX_BYTES = 2**24
@@ -28,7 +28,7 @@ _LARGEST_NUMBER_OF_MODELS = {64: 20, 128: 10}  # and 5 from 256 on
 
 
 @dataclass(frozen=True)
-class Choice:
+class WeightRecord:
     """The best weight of a variant at a resolution, and how it came about."""
 
     variant: str
@@ -41,8 +41,8 @@ class Choice:
 
 def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None = None,
                       n_models: int | None = None, split: str = "val",
-                      weights: Sequence[float] = DEFAULT_WEIGHTS,
-                      console: Console | None = None) -> list[Choice]:
+                      weights: Sequence[float] = CANDIDATE_WEIGHTS,
+                      console: Console | None = None) -> list[WeightRecord]:
     """Choose TV-L1's weight for each variant with histograms, and write the file that evaluation reads.
 
     Args:
@@ -57,7 +57,7 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
     Raises:
         OcnfError: the data set lacks histograms, a TSDF, the resolution or the split; no grid of weights.
     """
-    facts = Facts.read(data)
+    facts = DatasetFacts.read(data)
     if facts.is_occupancy:
         raise OcnfError("the weight is chosen by the TSDF's error", where=data, field="target",
                         found="occupancy", expected="tsdf")
@@ -68,31 +68,33 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for variant in variants:
-            for side in resolutions or facts.resolutions:
-                models, choice = _choose(facts, split, variant, side, n_models, weights, progress)
-                choices.append(Choice(variant, side, choice.weight, choice.weights.tolist(),
-                                      choice.mean_mm.tolist(), models))
+            for resolution in resolutions or facts.resolutions:
+                models, choice = _choose(facts, split, variant, resolution, n_models, weights, progress)
+                choices.append(WeightRecord(variant, resolution, choice.weight, choice.weights.tolist(),
+                                            choice.mean_mm.tolist(), models))
                 if console is not None:
-                    console.print(f"TV-L1, {variant} at {side}³, {len(models)} models:", choice.table(), "",
-                                  sep="\n", highlight=False)
+                    console.print(f"TV-L1, {variant} at {resolution}³, {len(models)} models:", choice.table(),
+                                  "", sep="\n", highlight=False)
     text = json.dumps({"schema": _SCHEMA, "split": split, "choices": [asdict(one) for one in choices]},
                       indent=1)
     Store(out.parent).put_bytes(out.name, text.encode())
     return choices
 
 
-def _choose(facts: Facts, split: str, variant: str, side: int, n_models: int | None,
+def _choose(facts: DatasetFacts, split: str, variant: str, resolution: int, n_models: int | None,
             weights: Sequence[float], progress: Progress) -> tuple[list[str], WeightChoice]:
     """The models' keys, and the choice on them."""
-    wanted = n_models or next((n for most, n in _LARGEST_NUMBER_OF_MODELS.items() if side <= most), 5)
-    models = list(Models(facts, split, variant, [Encoding.HISTOGRAM], [side], wanted))
+    wanted = n_models or next((n for most, n in _LARGEST_NUMBER_OF_MODELS.items() if resolution <= most), 5)
+    models = list(Models(facts, split, variant, [Encoding.HISTOGRAM], [resolution], wanted))
     task = progress.add_task("", total=len(models))
 
     def solved(weight: float, model: int, _: float) -> None:
-        progress.update(task, completed=model + 1, description=f"{variant} at {side}³, weight {weight:.3g}")
+        progress.update(task, completed=model + 1,
+                        description=f"{variant} at {resolution}³, weight {weight:.3g}")
 
-    choice = choose_weight([(model.inputs[Encoding.HISTOGRAM][side], model.truths[side],
-                             facts.taus.get(side, math.nan)) for model in models], weights, progress=solved)
+    tau = facts.taus.get(resolution, math.nan)
+    choice = choose_weight([(model.inputs[Encoding.HISTOGRAM][resolution], model.truths[resolution], tau)
+                            for model in models], weights, progress=solved)
     progress.remove_task(task)
     return [model.key for model in models], choice
 

@@ -20,11 +20,13 @@ from ocnf_model.octree.structure import Structure
 class OctreeBatch:
     """B piecewise-constant volumes of C channels on grid-octrees of one size, with different structures.
 
-    >>> batch = OctreeBatch.from_grids([octree_a, octree_b])      # 64^3, 10 channels
-    >>> batch.features.shape                                      # leaves of a, then of b
-    torch.Size([33658, 10])
+    >>> from ocnf_model import OctreeConv3d
+    >>> empty = GridOctree.from_dense(np.zeros((10, 32, 32, 32), np.float32))     # 4^3 trees of one leaf
+    >>> batch = OctreeBatch.from_grids([empty, empty])
+    >>> batch.features.shape                                      # leaves of the first, then of the second
+    torch.Size([128, 10])
     >>> OctreeConv3d(10, 16)(batch).to_dense().shape
-    torch.Size([2, 16, 64, 64, 64])
+    torch.Size([2, 16, 32, 32, 32])
 
     Attributes:
         structure: the trees; shared with other batches.
@@ -62,13 +64,13 @@ class OctreeBatch:
     def full(cls, dense: Tensor) -> OctreeBatch:
         """(B, C, D, H, W) floating point, D, H, W multiples of 8: every leaf a voxel; differentiable."""
         if not isinstance(dense, Tensor) or dense.ndim != 5 or not dense.is_floating_point() \
-                or any(side % TREE_WIDTH or not side for side in dense.shape[2:]):
+                or any(n % TREE_WIDTH or not n for n in dense.shape[2:]):
             raise OcnfError("not a batch of volumes", where="OctreeBatch.full", field="dense",
                             found=_describe(dense),
                             expected="floating point (B, C, D, H, W), D, H, W multiples of 8")
         depth, height, width = dense.shape[2:]
         structure = Structure.full(dense.shape[0], (depth, height, width))
-        voxels = dense.permute(0, 2, 3, 4, 1).reshape(-1, dense.shape[1])
+        voxels = dense.permute(0, 2, 3, 4, 1).reshape(-1, dense.shape[1])  # (B D H W, C)
         return cls(structure, structure.table(leaves_from_voxels, dense.device)(voxels))
 
     def to_grids(self) -> list[GridOctree]:
@@ -77,7 +79,7 @@ class OctreeBatch:
         Raises:
             OcnfError: a feature is not finite.
         """
-        data = self.features.detach().to("cpu", torch.float32)
+        data = self.features.detach().to("cpu", torch.float32)  # (L, C)
         parts = data.split(self.structure.leaves_per_grid)
         return [GridOctree(trees, np.ascontiguousarray(part.numpy()))
                 for trees, part in zip(self.structure.trees, parts, strict=True)]
@@ -86,7 +88,7 @@ class OctreeBatch:
         """(B, C, D, H, W): every voxel holds the features of its leaf; differentiable. For small volumes."""
         voxels = voxels_from_leaves(self.structure).to(self.features.device)(self.features)
         shape = self.batch_size, *self.structure.shape, self.channels
-        return voxels.view(shape).permute(0, 4, 1, 2, 3)
+        return voxels.view(shape).permute(0, 4, 1, 2, 3)  # (B, D, H, W, C) -> (B, C, D, H, W)
 
     def with_features(self, features: Tensor) -> OctreeBatch:
         """The same structure with other features, (L, any C)."""

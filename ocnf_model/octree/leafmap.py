@@ -53,7 +53,7 @@ class LeafMap:
     def product(self, features: Tensor) -> Tensor:
         """Apply without a gradient."""
         if self.starts is None:
-            return features.index_select(0, self.columns)
+            return features.index_select(0, self.columns)  # (n_columns, C) -> (n_rows, C)
         return sparse_product(self.starts, self.columns, self.weights, features)
 
     @cached_property
@@ -107,13 +107,13 @@ class _Product(torch.autograd.Function):
 
 def voxels_from_leaves(structure: Structure) -> LeafMap:
     """Leaves to voxels, in (b, z, y, x) C order: for small volumes."""
-    columns = voxel_leaves(structure.flat, structure.prefix, structure.grid)
+    columns = voxel_leaves(structure.flat, structure.prefix, structure.grid)  # (B D H W,)
     return LeafMap(structure.n_leaves, torch.from_numpy(columns))
 
 
 def leaves_from_voxels(structure: Structure) -> LeafMap:
     """Voxels, in (b, z, y, x) C order, to the leaves of a structure whose leaves are all voxels."""
-    columns = leaf_voxels(structure.flat, structure.prefix, structure.grid)
+    columns = leaf_voxels(structure.flat, structure.prefix, structure.grid)  # (L,)
     return LeafMap(structure.n_leaves, torch.from_numpy(columns))
 
 
@@ -129,7 +129,7 @@ def refinement(coarse: Structure, fine: Structure) -> LeafMap:
     if fine.batch_size != coarse.batch_size or fine.grid != tuple(n << shift for n in coarse.grid):
         raise OcnfError("sizes do not fit", field="guide", found=fine.describe(),
                         expected=f"that of {coarse.describe()}, or twice it")
-    columns = parent_leaves(fine.flat, fine.prefix, coarse.flat, coarse.prefix, fine.grid, shift)
+    columns = parent_leaves(fine.flat, fine.prefix, coarse.flat, coarse.prefix, fine.grid, shift)  # (L fine,)
     if columns.min() < 0:
         raise OcnfError("the guide is coarser than the features somewhere", field="guide",
                         fix="take the union of both structures")
@@ -143,9 +143,9 @@ def leaf_means(source: Structure, target: Structure) -> LeafMap:
         OcnfError: the sizes differ.
     """
     target.check_same_grid(source, "leaf means")
-    counts = count_overlaps(target.flat, target.prefix, source.flat)
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    columns, weights = fill_overlaps(target.flat, target.prefix, source.flat, source.prefix, starts)
+    counts = count_overlaps(target.flat, target.prefix, source.flat)  # (L target,)
+    starts = np.concatenate([[0], np.cumsum(counts)])  # (L target + 1,)
+    columns, weights = fill_overlaps(target.flat, target.prefix, source.flat, source.prefix, starts)  # (N,)
     if len(columns) == target.n_leaves:
         return LeafMap(source.n_leaves, torch.from_numpy(columns))
     return LeafMap(source.n_leaves, torch.from_numpy(columns), torch.from_numpy(starts.astype(np.int32)),

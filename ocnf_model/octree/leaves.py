@@ -9,18 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from ocnf_data.arrays import F32, I32, I64, U8, U64
+from ocnf_data.arrays import F32, I32, I64, U8, Prefix, TreeArray
 from ocnf_data.octree.bits import MAX_LEAVES, TREE_WIDTH, leaf_of_voxel, tree_leaves
-
-TreeArray = U64
-Prefix = I64
-Indices = I32
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def leaf_sizes(trees: TreeArray, prefix: Prefix) -> U8:
     """(L,) uint8: width of each leaf."""
-    sizes = np.empty(prefix[-1], np.uint8)
+    sizes = np.empty(prefix[-1], np.uint8)  # (L,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
@@ -44,7 +40,7 @@ def tree_at(b: int, gd: int, gh: int, gw: int, grid: tuple[int, int, int]) -> in
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def voxel_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> Indices:
+def voxel_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> I32:
     """(B * D * H * W,) int32: the leaf that holds each voxel; voxels in (b, z, y, x) C order."""
     depth, height, width = TREE_WIDTH * grid[0], TREE_WIDTH * grid[1], TREE_WIDTH * grid[2]
     volume = np.empty((len(trees) // (grid[0] * grid[1] * grid[2]), depth, height, width), np.int32)
@@ -59,9 +55,9 @@ def voxel_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def leaf_voxels(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> Indices:
+def leaf_voxels(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> I32:
     """(L,) int32: the lowest voxel of each leaf, an index into the voxels in (b, z, y, x) C order."""
-    voxels = np.empty(prefix[-1], np.int32)
+    voxels = np.empty(prefix[-1], np.int32)  # (L,)
     for t in prange(len(trees)):
         b, gd, gh, gw = tree_place(t, grid)
         cells = np.empty((MAX_LEAVES, 4), np.int16)
@@ -75,13 +71,13 @@ def leaf_voxels(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) ->
 def parent_leaves(
     trees: TreeArray, prefix: Prefix, coarse: TreeArray, coarse_prefix: Prefix, grid: tuple[int, int, int],
     shift: int,
-) -> Indices:
+) -> I32:
     """For each leaf, the coarse leaf that holds it: (L,) int32, -1 where that one does not hold all of it.
 
     `grid` is that of `trees`; the coarse trees have the same resolution (`shift` 0) or half of it (1).
     """
     coarse_grid = (grid[0] >> shift, grid[1] >> shift, grid[2] >> shift)
-    parents = np.empty(prefix[-1], np.int32)
+    parents = np.empty(prefix[-1], np.int32)  # (L,)
     for t in prange(len(trees)):
         b, gd, gh, gw = tree_place(t, grid)
         u = tree_at(b, gd >> shift, gh >> shift, gw >> shift, coarse_grid)
@@ -99,7 +95,7 @@ def parent_leaves(
 @njit(cache=True, nogil=True, parallel=True)
 def count_overlaps(trees: TreeArray, prefix: Prefix, other: TreeArray) -> I64:
     """(L,): how many leaves of the other trees, at the same resolution, share voxels with each leaf."""
-    counts = np.empty(prefix[-1], np.int64)
+    counts = np.empty(prefix[-1], np.int64)  # (L,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
@@ -117,13 +113,13 @@ def count_overlaps(trees: TreeArray, prefix: Prefix, other: TreeArray) -> I64:
 @njit(cache=True, nogil=True, parallel=True)
 def fill_overlaps(
     trees: TreeArray, prefix: Prefix, other: TreeArray, other_prefix: Prefix, starts: I64
-) -> tuple[Indices, F32]:
+) -> tuple[I32, F32]:
     """The leaves of `count_overlaps`, (N,) int32, and the share of the leaf in each, (N,) float32.
 
     Those of leaf i are entries starts[i] to starts[i + 1].
     """
-    columns = np.empty(starts[-1], np.int32)
-    shares = np.empty(starts[-1], np.float32)
+    columns = np.empty(starts[-1], np.int32)  # (N,)
+    shares = np.empty(starts[-1], np.float32)  # (N,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
@@ -143,9 +139,9 @@ def fill_overlaps(
 
 @njit(cache=True, nogil=True)
 def transpose(
-    columns: Indices, starts: I64, n_columns: int
-) -> tuple[I64, Indices, I64]:
-    """Of a sparse matrix in rows: where its columns start, the row of each entry, and its old place."""
+    columns: I32, starts: I64, n_columns: int
+) -> tuple[I64, I32, I64]:
+    """The columns of a sparse matrix in rows: where they start, the row of each entry, and its old place."""
     column_starts = np.zeros(n_columns + 1, np.int64)
     for column in columns:
         column_starts[column + 1] += 1

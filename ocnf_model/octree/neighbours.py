@@ -9,19 +9,21 @@ a single entry of 1 each: they are kept as a plain index table, all others as sp
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import torch
 from numba import njit, prange
 from torch import Tensor
 
-from ocnf_data.arrays import F32, I16, I64, Bool
+from ocnf_data.arrays import F32, I16, I32, I64, Bool, Prefix, TreeArray
 from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, tree_leaves
-from ocnf_model.octree.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.octree.leaves import tree_at, tree_place
 from ocnf_model.octree.structure import Structure
 
 N_OFFSETS = 27
 HALO = 10  # a tree and one voxel around it
+Corner: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +49,10 @@ class Neighbours:
     def build(cls, structure: Structure) -> Neighbours:
         """Compute the matrix on the CPU."""
         trees, prefix, grid = structure.flat, structure.prefix, structure.grid
-        regular = regular_leaves(trees, prefix, grid)
+        regular = regular_leaves(trees, prefix, grid)  # (L,) bool
         rank = np.cumsum(regular, dtype=np.int64) - regular  # regular leaves in front of each leaf
         n_regular = int(regular.sum())
-        starts = np.zeros(N_OFFSETS * (structure.n_leaves - n_regular) + 1, np.int64)
+        starts = np.zeros(N_OFFSETS * (structure.n_leaves - n_regular) + 1, np.int64)  # (27 I + 1,)
         count_irregular(trees, prefix, grid, regular, rank, starts[1:])
         np.cumsum(starts, out=starts)
         table, columns, weights = fill(trees, prefix, grid, regular, rank, n_regular, starts)
@@ -71,7 +73,7 @@ class Neighbours:
 @njit(cache=True, nogil=True, parallel=True)
 def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> Bool:
     """(L,) bool: leaves one voxel wide whose 27 neighbours all lie inside the grid."""
-    regular = np.empty(prefix[-1], np.bool_)
+    regular = np.empty(prefix[-1], np.bool_)  # (L,)
     for t in prange(len(trees)):
         _, gd, gh, gw = tree_place(t, grid)
         cells = np.empty((MAX_LEAVES, 4), np.int16)
@@ -90,7 +92,7 @@ def _halo_range(d: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _paint_halo(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: Indices, widths: Indices
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, leaves: I32, widths: I32
 ) -> None:
     """Leaf and leaf width at the 10^3 voxels in and around tree `t`; leaf -1 outside the grid."""
     b, gd, gh, gw = tree_place(t, grid)
@@ -118,24 +120,24 @@ def _overlap(low: int, high: int, start: int, width: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _add_overlap(found: Indices, n: int, leaf: int, z: int, y: int, x: int, wide: int, z0: int, y0: int,
-                 x0: int, w: int) -> None:
-    """Row `n` of `found`: a leaf of width `wide` at (z, y, x), against one of width `w` at (z0, y0, x0).
+def _add_overlap(row: I32, leaf: int, first: Corner, wide: int, other: Corner, w: int) -> None:
+    """A row of `found`: a leaf of width `wide` whose first voxel is `first`, against one of width `w`.
 
-    The row is (leaf, overlap along z at kz = 0, 1, 2, along y, along x); corners are halo coordinates, the
-    second one's 1 less, so that offset k moves it by k.
+    The row is (leaf, overlap along z at kz = 0, 1, 2, along y, along x); `first` and `other` are halo
+    coordinates, those of `other` 1 less, so that offset k moves it by k.
     """
-    found[n, 0] = leaf
+    (z, y, x), (z0, y0, x0) = first, other
+    row[0] = leaf
     for k in range(3):
-        found[n, 1 + k] = _overlap(z, z + wide, z0 + k, w)
-        found[n, 4 + k] = _overlap(y, y + wide, y0 + k, w)
-        found[n, 7 + k] = _overlap(x, x + wide, x0 + k, w)
+        row[1 + k] = _overlap(z, z + wide, z0 + k, w)
+        row[4 + k] = _overlap(y, y + wide, y0 + k, w)
+        row[7 + k] = _overlap(x, x + wide, x0 + k, w)
 
 
 @njit(cache=True, nogil=True)
-def _around_leaf(cell: I16, leaves: Indices, widths: Indices, found: Indices) -> int:
+def _around_leaf(cell: I16, leaves: I32, widths: I32, found: I32) -> int:
     """Rows of `found` (1000, 10) for the leaves that touch a leaf, itself included: how many there are."""
-    w = cell[3]
+    own, w = (cell[0], cell[1], cell[2]), cell[3]
     n = 0
     for z in range(cell[0], cell[0] + w + 2):
         for y in range(cell[1], cell[1] + w + 2):
@@ -146,14 +148,14 @@ def _around_leaf(cell: I16, leaves: Indices, widths: Indices, found: Indices) ->
                 z0, y0, x0 = ((z - 1) & -wide) + 1, ((y - 1) & -wide) + 1, ((x - 1) & -wide) + 1
                 # Each leaf counts once, at its lowest voxel within reach.
                 if z == max(z0, cell[0]) and y == max(y0, cell[1]) and x == max(x0, cell[2]):
-                    _add_overlap(found, n, leaves[z, y, x], z0, y0, x0, wide, cell[0], cell[1], cell[2], w)
+                    _add_overlap(found[n], leaves[z, y, x], (z0, y0, x0), wide, own, w)
                     n += 1
     return n
 
 
 @njit(cache=True, nogil=True)
 def _around_tree(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, found: Indices
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, found: I32
 ) -> int:
     """As `_around_leaf` for a tree of one leaf: most of its neighbours are such trees too."""
     b, gd, gh, gw = tree_place(t, grid)
@@ -165,7 +167,7 @@ def _around_tree(
                 if u < 0:
                     continue
                 if not is_split(trees[u, 0], trees[u, 1], 0):
-                    _add_overlap(found, n, prefix[u], 8 * dz + 1, 8 * dy + 1, 8 * dx + 1, 8, 0, 0, 0, 8)
+                    _add_overlap(found[n], prefix[u], (8 * dz + 1, 8 * dy + 1, 8 * dx + 1), 8, (0, 0, 0), 8)
                     n += 1
                     continue
                 z_low, z_high = _halo_range(dz)
@@ -178,7 +180,7 @@ def _around_tree(
                                                        (x - 1) % 8)
                             z0, y0, x0 = ((z - 1) & -wide) + 1, ((y - 1) & -wide) + 1, ((x - 1) & -wide) + 1
                             if z == max(z0, z_low) and y == max(y0, y_low) and x == max(x0, x_low):
-                                _add_overlap(found, n, prefix[u] + leaf, z0, y0, x0, wide, 0, 0, 0, 8)
+                                _add_overlap(found[n], prefix[u] + leaf, (z0, y0, x0), wide, (0, 0, 0), 8)
                                 n += 1
     return n
 
@@ -193,7 +195,7 @@ def count_irregular(
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
-        found = np.empty((HALO**3, 10), np.int32)
+        found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         if n > 1:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
         for cell in range(n):
@@ -215,16 +217,16 @@ def count_irregular(
 def fill(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: Bool,
     rank: I64, n_regular: int, starts: I64,
-) -> tuple[Indices, Indices, F32]:
+) -> tuple[I32, I32, F32]:
     """The table of the regular leaves, and columns and weights of the others, as in `Neighbours`."""
-    table = np.empty((n_regular, N_OFFSETS), np.int32)
-    columns = np.empty(starts[-1], np.int32)
-    weights = np.empty(starts[-1], np.float32)
+    table = np.empty((n_regular, N_OFFSETS), np.int32)  # (R, 27)
+    columns = np.empty(starts[-1], np.int32)  # (N,)
+    weights = np.empty(starts[-1], np.float32)  # (N,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
-        found = np.empty((HALO**3, 10), np.int32)
+        found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         if n > 1:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
         for cell in range(n):
@@ -238,7 +240,7 @@ def fill(
             n_found = _around_leaf(cells[cell], leaves, widths, found) if n > 1 \
                 else _around_tree(trees, prefix, grid, t, found)
             first = N_OFFSETS * (leaf - rank[leaf])
-            cursor = starts[first : first + N_OFFSETS].copy()
+            cursor = starts[first : first + N_OFFSETS].copy()  # (27,)
             for m in range(n_found):
                 for kz in range(3):
                     for ky in range(3):

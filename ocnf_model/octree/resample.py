@@ -14,10 +14,10 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from ocnf_data.arrays import U8
+from ocnf_data.arrays import I32, U8, Prefix, TreeArray
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.bits import MAX_LEAVES, child_bits, is_split, leaf_of_voxel, tree_leaves, with_split
-from ocnf_model.octree.leaves import Indices, Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.octree.leaves import tree_at, tree_place
 from ocnf_model.octree.structure import Structure
 
 
@@ -56,7 +56,7 @@ class Halving:
         structure = Structure(pooled_trees(fine.flat, fine.grid).reshape(batch, gd // 2, gh // 2, gw // 2, 2))
         first, parents, slots = match_pooled(fine.flat, fine.prefix, fine.grid, structure.flat,
                                              structure.prefix)
-        is_octet = np.bincount(parents, minlength=structure.n_leaves) == 8
+        is_octet = np.bincount(parents, minlength=structure.n_leaves) == 8  # (L,) -> (P,)
         return cls(structure, torch.from_numpy(first),
                    torch.from_numpy(np.flatnonzero(is_octet)), torch.from_numpy(parents),
                    torch.from_numpy(slots)[:, None],
@@ -78,7 +78,7 @@ class Doubling:
     def build(cls, coarse: Structure) -> Doubling:
         """Double a structure."""
         gd, gh, gw = coarse.grid
-        trees = unpooled_trees(coarse.flat, coarse.grid)
+        trees = unpooled_trees(coarse.flat, coarse.grid)  # (T, 2) -> (8 T, 2)
         return cls(Structure(trees.reshape(coarse.batch_size, 2 * gd, 2 * gh, 2 * gw, 2)))
 
     def to(self, device: torch.device) -> Doubling:
@@ -95,7 +95,7 @@ def doubled(coarse: Structure) -> Structure:
 def pooled_trees(trees: TreeArray, grid: tuple[int, int, int]) -> TreeArray:
     """Trees (T / 8, 2) at half the resolution of (T, 2) trees in a grid."""
     coarse_grid = (grid[0] // 2, grid[1] // 2, grid[2] // 2)
-    pooled = np.empty((len(trees) // 8, 2), np.uint64)
+    pooled = np.empty((len(trees) // 8, 2), np.uint64)  # (T / 8, 2)
     for t in prange(len(pooled)):
         b, gd, gh, gw = tree_place(t, coarse_grid)
         lo, hi = with_split(np.uint64(0), np.uint64(0), 0)
@@ -114,12 +114,12 @@ def pooled_trees(trees: TreeArray, grid: tuple[int, int, int]) -> TreeArray:
 @njit(cache=True, nogil=True, parallel=True)
 def match_pooled(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], pooled: TreeArray, pooled_prefix: Prefix
-) -> tuple[Indices, Indices, U8]:
+) -> tuple[I32, I32, U8]:
     """`first`, `parents` and `slots` of `Halving`."""
     coarse_grid = (grid[0] // 2, grid[1] // 2, grid[2] // 2)
-    first = np.empty(pooled_prefix[-1], np.int32)
-    parents = np.empty(prefix[-1], np.int32)
-    slots = np.empty(prefix[-1], np.uint8)
+    first = np.empty(pooled_prefix[-1], np.int32)  # (P,)
+    parents = np.empty(prefix[-1], np.int32)  # (L,)
+    slots = np.empty(prefix[-1], np.uint8)  # (L,)
     for t in prange(len(trees)):
         b, gd, gh, gw = tree_place(t, grid)
         u = tree_at(b, gd // 2, gh // 2, gw // 2, coarse_grid)

@@ -15,13 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ocnf_data.arrays import I64, U8, U64
+from ocnf_data.arrays import I64, U8, TreeArray
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_prefix
 from ocnf_model.octree.leaves import leaf_sizes
-
-TreeArray = U64
 
 
 class Movable(Protocol):
@@ -59,12 +57,12 @@ class Structure:
             if grid.shape != grids[0].shape:
                 raise OcnfError("octrees of a batch differ in size", where="OctreeBatch",
                                 field=f"grids[{b}]", found=grid.shape, expected=grids[0].shape)
-        return cls(np.stack([grid.trees for grid in grids]))
+        return cls(np.stack([grid.trees for grid in grids]))  # (B, GD, GH, GW, 2)
 
     @classmethod
     def full(cls, batch_size: int, shape: tuple[int, int, int]) -> Structure:
         """Every leaf a voxel, for `batch_size` grids of `shape` (D, H, W) voxels, multiples of 8."""
-        trees = np.empty((batch_size, *(side // TREE_WIDTH for side in shape), 2), np.uint64)
+        trees = np.empty((batch_size, *(n // TREE_WIDTH for n in shape), 2), np.uint64)
         trees[..., 0] = np.uint64(2**64 - 1)
         trees[..., 1] = np.uint64(2**9 - 1)  # bits 64-72
         return cls(trees)
@@ -104,7 +102,7 @@ class Structure:
     @cached_property
     def leaves_per_grid(self) -> list[int]:
         """Leaves of each grid; they sum to L."""
-        bounds = self.prefix[:: len(self.flat) // self.batch_size]
+        bounds = self.prefix[:: len(self.flat) // self.batch_size]  # (B + 1,)
         return [int(n) for n in np.diff(bounds)]
 
     @cached_property
@@ -166,4 +164,4 @@ class Structure:
 
 
 def _leaf_volumes(structure: Structure) -> Tensor:
-    return torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None]
+    return torch.from_numpy(structure.sizes.astype(np.float32) ** 3)[:, None]  # (L, 1)

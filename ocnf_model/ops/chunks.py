@@ -13,7 +13,7 @@ from torch import Tensor
 from ocnf_model.octree.leafmap import sparse_product
 from ocnf_model.octree.neighbours import N_OFFSETS, Neighbours
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 # Elements of a gathered chunk: on a CPU 4 MB of float32, which stay in the cache from the gather to the
 # product; on a GPU as much as keeps it busy.
@@ -49,24 +49,24 @@ def gather(neighbours: Neighbours, features: Tensor,
 
     The second tensor is overwritten by the next chunk.
     """
-    table = neighbours.table.view(-1)
+    table = neighbours.table.view(-1)  # (R, 27) -> (27 R,)
     lengths = [chunk.leaves.stop - chunk.leaves.start for chunk in chunks if chunk.entries is None]
     buffer = features.new_empty(N_OFFSETS * max(lengths, default=0), features.shape[1])
     for chunk in chunks:
         first, end = N_OFFSETS * chunk.leaves.start, N_OFFSETS * chunk.leaves.stop
         if chunk.entries is None:
-            leaves = neighbours.regular[chunk.leaves]
+            leaves = neighbours.regular[chunk.leaves]  # (m,)
             gathered = torch.index_select(features, 0, table[first:end], out=buffer[: end - first])
         else:
-            leaves = neighbours.irregular[chunk.leaves]
-            starts = neighbours.starts[first : end + 1] - chunk.entries.start
+            leaves = neighbours.irregular[chunk.leaves]  # (m,)
+            starts = neighbours.starts[first : end + 1] - chunk.entries.start  # (27 m + 1,)
             gathered = sparse_product(starts, neighbours.columns[chunk.entries],
                                       neighbours.weights[chunk.entries], features)
-        yield leaves, gathered.view(len(leaves), -1)
+        yield leaves, gathered.view(len(leaves), -1)  # (27 m, C) -> (m, 27 C)
 
 
-def share(work: Callable[[Sequence[Chunk]], Result], chunks: Sequence[Chunk],
-          device: torch.device) -> list[Result]:
+def map_chunks(work: Callable[[Sequence[Chunk]], _Result], chunks: Sequence[Chunk],
+          device: torch.device) -> list[_Result]:
     """Run `work` on parts of the chunks, without gradients: one part, or on a CPU one for each thread.
 
     Threads that each take a part do not wait for one another after every small operation, as those within an
@@ -79,7 +79,7 @@ def share(work: Callable[[Sequence[Chunk]], Result], chunks: Sequence[Chunk],
         with torch.no_grad():
             return [work(chunks)]
 
-    def run(part: int) -> Result:
+    def run(part: int) -> _Result:
         torch.set_num_threads(1)  # of this Python thread
         with torch.no_grad():
             return work(chunks[part::n_parts])

@@ -17,7 +17,7 @@ def concat(a: OctreeBatch, b: OctreeBatch) -> OctreeBatch:
     Raises:
         OcnfError: the batches differ in size, dtype or device.
     """
-    return a.with_features(torch.cat([a.features, on_structure_of(a, b, "concat")], dim=1))
+    return a.with_features(torch.cat([a.features, on_structure_of(a, b, "concat")], dim=1))  # (L, Ca + Cb)
 
 
 def on_structure_of(a: OctreeBatch, b: OctreeBatch, where: str) -> torch.Tensor:
@@ -29,4 +29,4 @@ def on_structure_of(a: OctreeBatch, b: OctreeBatch, where: str) -> torch.Tensor:
                         expected=f"{a.features.dtype} on {a.device}")
     if a.structure.equals(b.structure):
         return b.features
-    return b.structure.relation(leaf_means, a.structure, a.device)(b.features)
+    return b.structure.relation(leaf_means, a.structure, a.device)(b.features)  # (L of b, C) -> (L of a, C)

@@ -24,7 +24,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.neighbours import Neighbours
 from ocnf_model.octree.structure import Structure
-from ocnf_model.ops.chunks import Chunk, gather, plan, share
+from ocnf_model.ops.chunks import Chunk, gather, map_chunks, plan
 from ocnf_model.ops.gemm import linear
 
 
@@ -98,15 +98,15 @@ class _Convolution(torch.autograd.Function):
         ctx.structure = structure
         neighbours = structure.table(Neighbours.build, features.device)
         features = features.contiguous()
-        # (C_out, 27 C_in), columns in the order of a gathered row: offsets, then channels.
-        matrix = weight.permute(0, 2, 3, 4, 1).reshape(len(weight), -1)
-        result = features.new_empty(len(features), len(weight))
+        # Columns in the order of a gathered row: offsets, then channels.
+        matrix = weight.permute(0, 2, 3, 4, 1).reshape(len(weight), -1)  # (C_out, 27 C_in)
+        result = features.new_empty(len(features), len(weight))  # (L, C_out)
 
         def convolve(chunks: Sequence[Chunk]) -> None:
             for leaves, gathered in gather(neighbours, features, chunks):
-                result.index_copy_(0, leaves, linear(gathered, matrix, bias))
+                result.index_copy_(0, leaves, linear(gathered, matrix, bias))  # (m, 27 C_in) -> (m, C_out)
 
-        share(convolve, plan(neighbours, features.shape[1]), features.device)
+        map_chunks(convolve, plan(neighbours, features.shape[1]), features.device)
         return result
 
     @staticmethod
@@ -117,8 +117,8 @@ class _Convolution(torch.autograd.Function):
         features, weight = ctx.saved_tensors
         wants_features, wants_weight, wants_bias, _ = ctx.needs_input_grad
         neighbours = ctx.structure.table(Neighbours.build, features.device)
-        volumes = ctx.structure.volumes(grad.device).to(grad.dtype)
-        scaled = (grad / volumes).contiguous()
+        volumes = ctx.structure.volumes(grad.device).to(grad.dtype)  # (L, 1)
+        scaled = (grad / volumes).contiguous()  # (L, C_out)
         # (C_in, 27 C_out): h_k comes from the offset opposite to k.
         matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
         grad_features = torch.empty_like(features) if wants_features else None
@@ -127,17 +127,17 @@ class _Convolution(torch.autograd.Function):
             # A sum over many chunks is kept in float32 at least.
             grad_matrix = matrix.new_zeros(matrix.shape, dtype=torch.promote_types(grad.dtype, torch.float32))
             for leaves, gathered in gather(neighbours, scaled, chunks):
-                voxels = volumes.index_select(0, leaves)
+                voxels = volumes.index_select(0, leaves)  # (m, 1)
                 if grad_features is not None:
                     grad_features.index_copy_(0, leaves, linear(gathered, matrix).mul_(voxels))
                 if wants_weight:
-                    rows = features.index_select(0, leaves).mul_(voxels)
-                    grad_matrix += linear(rows.T.contiguous(), gathered.T)
+                    rows = features.index_select(0, leaves).mul_(voxels)  # (m, C_in)
+                    grad_matrix += linear(rows.T.contiguous(), gathered.T)  # (C_in, 27 C_out)
             return grad_matrix
 
         grad_weight = None
         if wants_features or wants_weight:
-            parts = share(convolve_back, plan(neighbours, grad.shape[1]), grad.device)
+            parts = map_chunks(convolve_back, plan(neighbours, grad.shape[1]), grad.device)
             if wants_weight:
                 grad_matrix = torch.stack(parts).sum(0).view(weight.shape[1], 3, 3, 3, len(weight))
                 grad_weight = grad_matrix.permute(4, 0, 1, 2, 3).flip(2, 3, 4).to(weight.dtype)

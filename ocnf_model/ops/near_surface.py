@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from ocnf_data.arrays import U8, Bool
+from ocnf_data.arrays import U8, Bool, Prefix, TreeArray
 from ocnf_data.octree.bits import TREE_WIDTH, leaf_of_voxel, with_split
-from ocnf_model.octree.leaves import Prefix, TreeArray, tree_at, tree_place
+from ocnf_model.octree.leaves import tree_at, tree_place
 
 _BELOW, _ABOVE = np.uint8(1), np.uint8(2)
 
@@ -27,8 +27,8 @@ def surface_trees(
             outside the grid.
     """
     fine_grid = (2 * grid[0], 2 * grid[1], 2 * grid[2])
-    fine = np.zeros((8 * len(trees), 2), np.uint64)
-    sides = _sides_of_trees(prefix, below)
+    fine = np.zeros((8 * len(trees), 2), np.uint64)  # (8 T, 2)
+    sides = _sides_of_trees(prefix, below)  # (T,) bits
     n_around = (reach + TREE_WIDTH - 1) // TREE_WIDTH
     size = TREE_WIDTH + 2 * reach
     for t in prange(len(trees)):
@@ -40,7 +40,7 @@ def surface_trees(
             for y in range(size):
                 for x in range(size):
                     gz, gy, gx = 8 * gd + z - reach, 8 * gh + y - reach, 8 * gw + x - reach
-                    near[z, y, x] = _side(trees, prefix, grid, sides, below, b, gz, gy, gx)
+                    near[z, y, x] = _side(trees, prefix, grid, sides, below, b, (gz, gy, gx))
         near = _spread(near, reach)
         for z in range(TREE_WIDTH):
             for y in range(TREE_WIDTH):
@@ -77,8 +77,9 @@ def _mixed_around(sides: U8, b: int, gd: int, gh: int, gw: int,
 
 @njit(cache=True, nogil=True)
 def _side(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], sides: U8,
-          below: Bool, b: int, z: int, y: int, x: int) -> np.uint8:
-    """The side of a voxel as a bit; 0 outside the grid."""
+          below: Bool, b: int, voxel: tuple[int, int, int]) -> np.uint8:
+    """The side of a voxel (z, y, x) as a bit; 0 outside the grid."""
+    z, y, x = voxel
     u = tree_at(b, z >> 3, y >> 3, x >> 3, grid)
     if u < 0:
         return np.uint8(0)

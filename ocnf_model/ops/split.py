@@ -48,7 +48,7 @@ def surface_structure(base: Structure, reconstruction: OctreeBatch, reach: int,
                       threshold: float) -> Structure:
     """The unpooled `base`, with voxels within `reach` of the other side split into eight."""
     where = reconstruction.structure
-    below = (reconstruction.features.detach()[:, 0] < threshold).cpu().numpy()
+    below = (reconstruction.features.detach()[:, 0] < threshold).cpu().numpy()  # (L,) bool
     unpooled = doubled(base)
-    split = surface_trees(where.flat, where.prefix, where.grid, below, reach)
-    return Structure(unpooled.trees | split.reshape(unpooled.trees.shape))
+    split = surface_trees(where.flat, where.prefix, where.grid, below, reach)  # (8 T, 2)
+    return Structure(unpooled.trees | split.reshape(unpooled.trees.shape))  # (B, 2 GD, 2 GH, 2 GW, 2)

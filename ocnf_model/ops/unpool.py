@@ -22,4 +22,4 @@ def grid_unpool(x: OctreeBatch, guide: OctreeBatch | Structure | None = None) ->
         structure = doubled(x.structure)
     else:
         structure = guide.structure if isinstance(guide, OctreeBatch) else guide
-    return OctreeBatch(structure, x.map_to(structure)(x.features))
+    return OctreeBatch(structure, x.map_to(structure)(x.features))  # (L, C) -> (L of structure, C)

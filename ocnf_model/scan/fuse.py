@@ -1,7 +1,7 @@
 """A depth scan to a mesh in the scan's coordinates: by the network, by VolFus or by TV-L1.
 
 The network knows one cube. A region of the scan takes that cube's place: fusion measures everything in
-voxels and in truncations, so that a cube of any side, anywhere, gives what the scan would, were it moved and
+voxels and in truncations, so that a cube of any size, anywhere, gives what the scan would, were it moved and
 scaled into the cube of training, and the surface is in the scan's coordinates at once.
 """
 
@@ -28,7 +28,8 @@ from ocnf_data.views.scans.vertex_colour import vertex_colours, vertex_normals
 from ocnf_model.baselines import tvl1
 from ocnf_model.checkpoint import open_run
 from ocnf_model.devices import pick_device
-from ocnf_model.evaluation.methods import Method, default_weight, parse_methods, run_levels
+from ocnf_model.evaluation.levels import run_levels
+from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.scan.region import Region, largest_object, looked_at, observed
@@ -108,10 +109,10 @@ class Baseline:
 
     def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
         """The region's cube: TSDF / tau, 1 channel."""
-        side, centre = region.side, region.centre
+        size, centre = region.size, region.centre
         if self.weight is None:
-            return fuse_tsdf(pyramid, self.resolution, side, origin=centre)
-        return tvl1(fuse_histogram(pyramid, self.resolution, side, origin=centre), self.weight)
+            return fuse_tsdf(pyramid, self.resolution, size, centre=centre)
+        return tvl1(fuse_histogram(pyramid, self.resolution, size, centre=centre), self.weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +131,15 @@ class Learned:
 
     @property
     def resolution(self) -> int:
-        """Of the result."""
+        """Voxels along each axis of the result."""
         return self.resolutions[-1]
 
     def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
         """The region's cube: TSDF / tau, or 1 - 2 p of the probability p of being occupied; 1 channel."""
-        network, side = self.network, region.side
+        network, size = self.network, region.size
         inputs = [OctreeBatch.from_grids([
-            fuse(pyramid, network.encoding, resolution, side, self.truncation_voxels * side / resolution,
-                 origin=region.centre)]) for resolution in self.resolutions]
+            fuse(pyramid, network.encoding, resolution, size, self.truncation_voxels * size / resolution,
+                 centre=region.centre)]) for resolution in self.resolutions]
         *_, last = run_levels(network, inputs, next(network.parameters()).device)
         field = last.reconstruction.features
         signed = 1 - 2 * field if network.output is Output.OCCUPANCY else field.clamp(-1, 1)
@@ -160,16 +161,16 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
     start = time.perf_counter()
     octree = fuser(pyramid, region)
     seconds = time.perf_counter() - start
-    vertices, faces = octree_surface(octree, region.side, origin=region.centre)
+    vertices, faces = octree_surface(octree, region.size, centre=region.centre)
     kept = region.holds(vertices)
     if not keep_unseen:
-        kept[kept] = observed(vertices[kept], scan.views, default_truncation(fuser.resolution, region.side))
+        kept[kept] = observed(vertices[kept], scan.views, default_truncation(fuser.resolution, region.size))
     vertices, faces = _only(vertices, faces, kept)
     if not len(faces):
         raise OcnfError("no surface was found in the region", code="empty", field="box",
                         found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
     colours = None if scan.colour is None else vertex_colours(
-        vertices, scan, default_truncation(fuser.resolution, region.side), vertex_normals(vertices, faces))[0]
+        vertices, scan, default_truncation(fuser.resolution, region.size), vertex_normals(vertices, faces))[0]
     return FusedMesh(vertices, faces, region, fuser.resolution, seconds, (*scan.notes, *scan.warnings),
                      colours)
 
@@ -189,9 +190,9 @@ def _fuser(run: str, method: Method, resolution: int | None, device: str, weight
     if method is Method.TVL1:
         return Baseline(resolution or 256, weight or default_weight(resolution or 256))
     trained = open_run(run)
-    sides = trained.resolutions
-    if resolution is not None and resolution not in sides:
+    levels = trained.resolutions
+    if resolution is not None and resolution not in levels:
         raise OcnfError("the network has no level of this resolution", where=run, field="resolution",
-                        found=resolution, expected=" or ".join(map(str, sides)))
-    used = sides[: sides.index(resolution) + 1] if resolution else sides
+                        found=resolution, expected=" or ".join(map(str, levels)))
+    used = levels[: levels.index(resolution) + 1] if resolution else levels
     return Learned(trained.network.to(pick_device(device)), used, trained.data.truncation_voxels)

@@ -27,23 +27,23 @@ class Region:
 
     Attributes:
         low, high: corners (x, y, z) of the box in metres: surfaces beyond are cut off.
-        side: of the cube in metres; its centre is the box's.
+        size: of the cube in metres; its centre is the box's.
     """
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-    side: float
+    size: float
 
     @classmethod
-    def of_cube(cls, centre: tuple[float, float, float], side: float) -> Region:
+    def of_cube(cls, centre: tuple[float, float, float], size: float) -> Region:
         """The region that is all of a cube."""
         x, y, z = centre
-        half = side / 2
-        return cls((x - half, y - half, z - half), (x + half, y + half, z + half), side)
+        half = size / 2
+        return cls((x - half, y - half, z - half), (x + half, y + half, z + half), size)
 
     @classmethod
     def of_box(cls, box: Sequence[float]) -> Region:
-        """The region x0 y0 z0 x1 y1 z1 in metres. Its longest side takes 95 % of the cube, as in training.
+        """The region x0 y0 z0 x1 y1 z1 in metres. Its longest edge takes 95 % of the cube, as in training.
 
         Raises:
             OcnfError: not six finite numbers, or a corner that is not below the other.
@@ -56,7 +56,7 @@ class Region:
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """Of box and cube."""
+        """The centre of box and cube, (x, y, z) in metres."""
         x, y, z = ((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
         return x, y, z
 
@@ -87,15 +87,15 @@ def largest_object(views: Views | DepthPyramid) -> Region:
     if not len(points):
         raise OcnfError("nothing was measured in any frame", code="empty", where="the scan")
     low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
-    side = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
+    size = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
     x, y, z = ((low + high) / 2).tolist()
-    octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(side, 1e-6), origin=(x, y, z))
+    octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(size, 1e-6), centre=(x, y, z))
     labels, n = label(np.abs(octree.to_dense()[0]) < 1, np.ones((3, 3, 3)))
     if n == 0:
         raise OcnfError("no surface was found in the scan", code="empty", where="the scan")
     largest = int(np.bincount(labels.ravel())[1:].argmax())
     zyx = np.array([(span.start, span.stop) for span in find_objects(labels)[largest]])
-    voxel = side / _SEARCH_RESOLUTION
+    voxel = size / _SEARCH_RESOLUTION
     corners = (zyx[::-1].T - _SEARCH_RESOLUTION / 2) * voxel + [x, y, z]
     return Region.of_box([*corners[0], *corners[1]])
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
-from ocnf_data.loading.dataset import Batch, Octrees, ShardDataset
+from ocnf_data.loading.dataset import Batch, Octrees
 from ocnf_model.network import Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.structure import Structure
-from ocnf_model.training.settings import TrainSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +47,3 @@ def make_example(batch: Batch, output: Output, target: str, device: torch.device
         truth = truth.with_features((truth.features < 0).to(truth.features.dtype))
     return Example(inputs, truth)
 
-
-def open_split(data: str, settings: TrainSettings, level: int, manifest: Mapping[str, Any], *,
-               train: bool) -> ShardDataset:
-    """The samples of a level (from 0), to train on or to validate with.
-
-    Raises:
-        OcnfError: the data set has not got them, or they are none.
-    """
-    resolutions = settings.resolutions or sorted(manifest["resolutions"])[: settings.levels]
-    split = settings.train_split if train else settings.val_split
-    shared: dict[str, Any] = {"variant": settings.variant, "categories": settings.categories,
-                              "seed": settings.seed, "on_error": settings.on_error}
-    wanted = data, split, list(resolutions[: level + 1]), settings.encoding
-    if train:
-        return ShardDataset(*wanted, **shared, batch_size=settings.stage(level).batch_size,
-                            augment=settings.augment, buffer=settings.shuffle_buffer)
-    return ShardDataset(*wanted, **shared, shuffle=False, uneven="exact")

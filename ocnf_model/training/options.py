@@ -28,9 +28,9 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
     fields: dict[str, Any] = {} if file is None else load_settings(file)
     fields |= {name: value for name, value in options.items() if value is not None}
     if channels is not None:
-        fields["channels"] = parse_numbers("channels", channels)
+        fields["channels"] = parse_list("channels", channels)
     lists: dict[str, list[Any]] = {
-        name: [part.strip() for part in text.split(",")] if name == "decay" else parse_numbers(name, text)
+        name: [part.strip() for part in text.split(",")] if name == "decay" else parse_list(name, text)
         for name, text in stage_options.items() if text is not None}
     settings = read_settings(fields, where)
     if not lists:
@@ -42,7 +42,7 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
     return read_settings({**settings.to_dict(), "stages": stages}, where)
 
 
-def parse_numbers(name: str, text: str) -> list[int | float]:
+def parse_list(name: str, text: str) -> list[int | float]:
     """Whole and other numbers from a list such as `50,25`."""
     try:
         return [int(part) if part.strip().isdigit() else float(part) for part in text.split(",")]

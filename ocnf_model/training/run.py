@@ -1,10 +1,12 @@
 """Training a network stage by stage, resumable at any moment (SEMANTICS 5).
 
-    RUN/settings.json          all settings, resolved, and what they were resolved against
+    RUN/settings.json          all settings, resolved, what they were resolved against, and epochs added since
     RUN/state.safetensors      where the run is (see `training.state`)
-    RUN/level-1.safetensors    best checkpoint of each level, by validation MAD (see `checkpoint`)
+    RUN/level-1.safetensors    best checkpoint of each level, by `best_by` of the settings (see `checkpoint`)
     RUN/curves.csv             a line an epoch
     RUN/tensorboard/           the curves by step
+    RUN/validation/            the data set that a manifest's validation split was made into
+    RUN/cache/                 ground truth that epochs share, where a manifest says so; may be deleted
 
 >>> train("out", "run", TrainSettings(levels=2))           # doctest: +SKIP
 >>> load_run("run")                                        # doctest: +SKIP
@@ -15,7 +17,6 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import torch
 from rich.console import Console
@@ -25,33 +26,38 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import validate
-from ocnf_data.shards import load_dataset
-from ocnf_model.checkpoint import Architecture, DataFacts, load_level
+from ocnf_model.checkpoint import Architecture, TrainingData, load_level
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
-from ocnf_model.training.batches import open_split
-from ocnf_model.training.report import Reporter, write_curves
-from ocnf_model.training.settings import TrainSettings, difference, read_settings
+from ocnf_model.training.curves import Reporter, write_curves
+from ocnf_model.training.data import VALIDATION, DataSource, StoredData, open_data
+from ocnf_model.training.extend import extend, raised_epochs
+from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.state import Place, load_place, save_state
+from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
 _SCHEMA = 1
+_MAX_SETTINGS = 16 * 2**20  # bytes
 
 
 def train(data: str | Path, out: str | Path, settings: TrainSettings | None = None, *, device: str = "auto",
-          console: Console | None = None) -> OctNetFusion:
-    """Train all levels, or go on where an earlier call with the same arguments stopped.
+          console: Console | None = None, meshes: str | Path | None = None,
+          val: str | Path | None = None) -> OctNetFusion:
+    """Train all levels, or go on where an earlier call with the same arguments, or fewer epochs, stopped.
 
     Under `torchrun` all processes train together, each with batches of `batch_size`.
 
     Args:
-        data: a data set that `generate` made: a folder or an fsspec URL.
+        data: a data set that `generate` made, a folder or an fsspec URL; or a manifest (.yaml), whose samples
+            are drawn as they are needed.
         out: folder of the run; a new one, or one begun with these settings.
         settings: None for the paper's.
         device: `auto`, `cpu`, `cuda`, `cuda:1`.
         console: for the progress; None for the terminal's error stream.
+        meshes: the folder that a manifest's mesh paths are relative to.
+        val: a data set whose split `val` is to be validated with, in state of that of `data`.
 
     Returns:
         The network with the best weights of every level, in evaluation mode, on the device.
@@ -64,82 +70,109 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
     console = console or Console(stderr=True, emoji=False)
     asked = settings or TrainSettings()
     with join_world(device) as world:
-        manifest = load_dataset(data).manifest
-        settings = asked.resolved(manifest, None, data)
+        source = open_data(data, asked, None if meshes is None else Path(meshes),
+                           None if val is None else str(val))
+        settings = asked.resolved(source.manifest, None, data)
+        if world.is_main:
+            _prepare(source, folder, settings, console)
+        world.wait()
         for level in range(settings.levels):  # whatever is missing is said before hours of training
-            open_split(data, settings, level, manifest, train=False)
-        variant = open_split(data, settings, settings.levels - 1, manifest, train=True).variant
-        settings = asked.resolved(manifest, variant, data)
+            variant = source.validation(folder, settings, level).variant
+        source.training(folder, settings, settings.levels - 1)
+        settings = asked.resolved(source.manifest, variant, data)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
-                _begin(folder, settings, _facts(data, settings, manifest))
+                _begin(folder, settings, _training_data(source, folder, settings))
             world.wait()
-            return _run(data, folder, settings, manifest, world, console)
+            return _run(source, folder, settings, world, console)
 
 
-def _run(data: str, folder: Path, settings: TrainSettings, manifest: dict[str, Any], world: World,
+def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console: Console) -> None:
+    """Let the data make what it needs in the folder, if that is a run's or may become one."""
+    if isinstance(source, StoredData):
+        return
+    with exclusive(Store(folder)):
+        _refuse_strangers(Store(folder))
+        source.prepare(folder, settings, console)
+
+
+def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World,
          console: Console) -> OctNetFusion:
     torch.manual_seed(settings.seed)
     assert settings.output is not None and settings.resolutions is not None  # resolved
-    architecture = Architecture(encoding=settings.encoding, join=settings.join, carry=settings.carry,
-                                output=settings.output, channels=settings.channels, band=settings.band)
-    network = architecture.network(settings.levels, settings.checkpointing).to(world.device)
-    facts = _facts(data, settings, manifest)
-    place, tensors = load_place(folder)
-    if world.is_main and place.rows:
-        write_curves(folder, place.rows)  # a killed run may have left a line too few
+    network = Architecture.of(settings).network(settings.levels, settings.checkpointing).to(world.device)
+    training_data = _training_data(source, folder, settings)
+    state, tensors = load_state(folder)
+    check_progress(folder, state, [settings.stage(level).epochs for level in range(settings.levels)],
+                   settings.resolutions)
+    if world.is_main and state.rows:
+        write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
-        if level >= place.level:
+        if level >= state.level:
             if level:
                 network.start_from_previous(level)
-            job = Job(folder, settings, network, open_split(data, settings, level, manifest, train=True),
-                      open_split(data, settings, level, manifest, train=False), facts, manifest["target"],
-                      world)
+            job = Job(folder, settings, network, source.training(folder, settings, level),
+                      source.validation(folder, settings, level), training_data,
+                      source.manifest["target"], world)
             unit = " mm" if settings.output is Output.TSDF else ""
             with memory_errors(f"level {level + 1}", _less_memory(settings, level)), \
-                    Reporter(folder, level + 1, settings.resolutions[level], place.steps, unit,
+                    Reporter(folder, level + 1, settings.resolutions[level], state.steps, unit,
                              world.is_main, console) as report:
-                Trainer(job, place, tensors, report).run()
-            place, tensors = Place(level=level + 1, rows=place.rows), {}
-            if world.is_main:
-                save_state(folder, place)
+                Trainer(job, state, tensors, report).run()
+            if level + 1 < settings.levels:  # the last one's state stays: it may be given more epochs
+                state, tensors = TrainState(level=level + 1, rows=state.rows), {}
+                if world.is_main:
+                    save_state(folder, state)
             world.wait()
         load_level(folder, network, level)
     return network.eval()
 
 
-def _facts(data: str, settings: TrainSettings, manifest: dict[str, Any]) -> DataFacts:
-    training, validation = (open_split(data, settings, 0, manifest, train=train) for train in (True, False))
-    return DataFacts(
-        name=manifest["name"], checksum=training.state_dict()["datasets"][0], variant=settings.variant,
-        n_train=len(training.keys), n_val=len(validation.keys), extent=manifest["normalise"]["extent"],
+def _training_data(source: DataSource, folder: Path, settings: TrainSettings) -> TrainingData:
+    training, validation = source.training(folder, settings, 0), source.validation(folder, settings, 0)
+    manifest = source.manifest
+    return TrainingData(
+        name=manifest["name"], checksum=training.checksum, variant=settings.variant,
+        n_train=training.n_samples, n_val=validation.n_samples, extent=manifest["normalise"]["extent"],
         truncation_voxels=manifest["truncation_voxels"])
 
 
-def _begin(folder: Path, settings: TrainSettings, facts: DataFacts) -> None:
+def _begin(folder: Path, settings: TrainSettings, training_data: TrainingData) -> None:
     """Write down what the run is; refuse a folder that holds something else."""
     store = Store(folder)
     if not store.exists(SETTINGS):
-        strangers = [name for name in store.list() if name != ".lock"]
-        if strangers:
-            raise OcnfError("the folder is not empty, and not a run", code="occupied", where=folder,
-                            found=strangers[0], fix="name a new folder: nothing is overwritten")
-        fields = {"schema": _SCHEMA, "settings": settings.to_dict(), "data": facts.model_dump(mode="json")}
+        _refuse_strangers(store)
+        fields = {"schema": _SCHEMA, "settings": settings.to_dict(),
+                  "data": training_data.model_dump(mode="json")}
         store.put_bytes(SETTINGS, canonical_json(fields, indent=2))
         return
     before, began_with = read_run_settings(folder)
-    if found := difference(settings, before):
+    raised = raised_epochs(settings, before)
+    if not raised and (found := setting_difference(settings, before)):
         field, ours, theirs = found
         raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
                         found=ours, expected=theirs, fix="pass the same settings, or name a new folder")
-    if facts.checksum != began_with.checksum:
+    if training_data.checksum != began_with.checksum:
         raise OcnfError("the run was begun on another data set", code="misfit", where=folder, field="data",
-                        found=f"{facts.name} {facts.checksum[:12]}",
+                        found=f"{training_data.name} {training_data.checksum[:12]}",
                         expected=f"{began_with.name} {began_with.checksum[:12]}",
                         fix="pass the same data set, or name a new folder")
+    if raised:
+        extend(folder, SETTINGS, settings, raised, load_state(folder)[0])
 
 
-def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
+def _refuse_strangers(store: Store) -> None:
+    """Refuse a folder that is no run and holds anything but what `prepare` made before it was stopped."""
+    if store.exists(SETTINGS):
+        return
+    strangers = [name for name in store.list()
+                 if name != ".lock" and not name.startswith(f"{VALIDATION}/")]
+    if strangers:
+        raise OcnfError("the folder is not empty, and not a run", code="occupied", where=store.url,
+                        found=strangers[0], fix="name a new folder: nothing is overwritten")
+
+
+def read_run_settings(folder: Path) -> tuple[TrainSettings, TrainingData]:
     """What a run's folder says it is.
 
     Raises:
@@ -147,12 +180,12 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, DataFacts]:
     """
     where = Store(folder).where(SETTINGS)
     try:
-        fields = json.loads(Store(folder).read_bytes(SETTINGS))
+        fields = json.loads(Store(folder).read_at_most(SETTINGS, _MAX_SETTINGS))
     except (ValueError, RecursionError) as error:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
         raise OcnfError("not the settings of a run of this version", code="schema", where=where)
-    return read_settings(fields.get("settings"), where), validate(DataFacts, fields.get("data"), where)
+    return read_settings(fields.get("settings"), where), validate(TrainingData, fields.get("data"), where)
 
 
 def _less_memory(settings: TrainSettings, level: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -13,22 +13,27 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.dataset import Batch, ShardDataset
+from ocnf_data.loading.epochs import EpochDataset
+from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.checkpoint import (
     Architecture,
-    DataFacts,
     Header,
+    TrainingData,
     checkpoint_sha256,
     save_checkpoint,
     torch_version,
 )
 from ocnf_model.losses import bce_loss, l1_loss
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
-from ocnf_model.training.report import Reporter
+from ocnf_model.training.choice import is_better
+from ocnf_model.training.crops import crop_losses, draw_corners
+from ocnf_model.training.curves import Reporter
 from ocnf_model.training.settings import Precision, TrainSettings
-from ocnf_model.training.state import EpochRow, Place, restore, save_state
+from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
+from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
 LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
@@ -51,34 +56,36 @@ class Job:
     folder: Path
     settings: TrainSettings
     network: OctNetFusion
-    training: ShardDataset
+    training: EpochDataset
     validation: ShardDataset
-    facts: DataFacts
+    facts: TrainingData
     target: str
     world: World
 
 
 class Trainer:
-    """Trains the level that a place is in, from there to the level's end.
+    """Trains the level that a state is in, from there to the level's end.
 
     Args:
         job: see `Job`.
-        place: where the run is; kept up to date.
+        state: where the run is; kept up to date.
         tensors: of the state that the run resumes from.
         report: told of every step.
     """
 
-    def __init__(self, job: Job, place: Place, tensors: dict[str, Tensor], report: Reporter) -> None:
-        self._job, self._place, self._report = job, place, report
-        self._stage = job.settings.stage(place.level)
-        self._level = job.network.levels[place.level]
+    def __init__(self, job: Job, state: TrainState, tensors: dict[str, Tensor], report: Reporter) -> None:
+        self._job, self._state, self._report = job, state, report
+        self._stage = job.settings.stage(state.level)
+        self._level = job.network.levels[state.level]
         self._parameters = list(self._level.parameters())
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
+        check_step(job.folder, state, len(job.training), self._stage.accumulate,
+                   exact=job.settings.on_error is OnError.RAISE)
         restore(tensors, self._level, self._optimiser)
-        if place.loader is not None:
-            job.training.load_state_dict(place.loader)
+        if state.loader is not None:
+            job.training.load_state_dict(state.loader)
 
     def run(self) -> None:
         """All epochs that are left; every one is validated, and the best is kept.
@@ -86,37 +93,37 @@ class Trainer:
         Raises:
             OcnfError: a loss or gradient is not finite; the last state and the best checkpoint stay.
         """
-        place = self._place
+        state = self._state
         loader = _loader(self._job.training, self._job)
         validation = _loader(self._job.validation, self._job)
-        while place.epoch < self._stage.epochs:
+        while state.epoch < self._stage.epochs:
             began = time.monotonic()
-            if place.step < len(self._job.training):
+            if state.step < len(self._job.training):
                 self._train(loader)
             self._save()
-            mad, iou = self._validate(validation)
-            self._finish_epoch(mad, iou, time.monotonic() - began)
+            found = self._validate(validation)
+            self._finish_epoch(found, time.monotonic() - began)
 
     # ---- training
 
     def _train(self, loader: DataLoader[Batch]) -> None:
-        place, n_batches = self._place, len(self._job.training)
-        self._job.training.set_epoch(place.epoch)
-        self._report.begin(f"epoch {place.epoch + 1} of {self._stage.epochs}", n_batches, place.step)
+        state, n_batches = self._state, len(self._job.training)
+        self._job.training.set_epoch(state.epoch)
+        self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
         self._level.train()
         met: list[tuple[Batch, Tensor]] = []
         for batch in loader:
             met.append((batch, self._backward(batch, n_batches)))
-            place.step = batch.step + 1
-            if place.step % self._stage.accumulate and place.step < n_batches:
+            state.step = batch.step + 1
+            if state.step % self._stage.accumulate and state.step < n_batches:
                 self._report.advance()
                 continue
             loss = self._update(met)
             met.clear()
-            place.loader = self._job.training.state_dict(batch)
+            state.loader = self._job.training.state_dict(batch)
             self._report.advance(f"loss {loss:.5f}")
-            self._report.step(place.steps, loss)
-            if place.steps % self._job.settings.save_every == 0 and place.step < n_batches:
+            self._report.step(state.steps, loss, self._optimiser.param_groups[0]["lr"])
+            if state.steps % self._job.settings.save_every == 0 and state.step < n_batches:
                 self._save()
 
     def _backward(self, batch: Batch, n_batches: int) -> Tensor:
@@ -124,9 +131,19 @@ class Trainer:
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        losses = LOSSES[self._job.network.output](self._forward(example).raw, example.target, "none")
+        loss = LOSSES[self._job.network.output]
+        if self._stage.crop is None:
+            losses = loss(self._forward(example).raw, example.target, "none")
+        else:
+            losses = self._crop_losses(example, batch, self._stage.crop // TREE_WIDTH, loss)
         (losses.mean() / group).backward()
         return losses.detach()
+
+    def _crop_losses(self, example: Example, batch: Batch, size: int, loss: Callable[..., Tensor]) -> Tensor:
+        corners = draw_corners(example.target.structure, size, self._job.settings.seed, batch.epoch,
+                               batch.keys)
+        with self._precision():
+            return crop_losses(self._job.network, example, self._state.level, corners, size, loss)
 
     def _update(self, met: list[tuple[Batch, Tensor]]) -> float:
         """A step of the optimiser over some batches; their mean loss over all ranks."""
@@ -140,78 +157,70 @@ class Trainer:
         if not _is_finite(norm.item()):
             raise self._not_finite("the gradient", keys)
         for group in self._optimiser.param_groups:
-            group["lr"] = self._stage.rate(self._place.steps, self._n_steps)
+            group["lr"] = self._stage.rate(self._state.steps, self._n_steps)
         self._optimiser.step()
         self._optimiser.zero_grad()
-        self._place.steps += 1
+        self._state.steps += 1
         first = [not again for batch, _ in met for again in batch.repeat]
         total, count, everything, n = self._job.world.sum([
             sum(loss for loss, counts in zip(losses, first, strict=True) if counts), sum(first),
             sum(losses), len(losses)])
-        self._place.loss_sum += total
-        self._place.loss_count += count
+        self._state.loss_sum += total
+        self._state.loss_count += count
         return everything / n
 
     def _not_finite(self, what: str, keys: list[str]) -> OcnfError:
         return OcnfError(f"{what} is not finite, the run has stopped", code="not_finite",
                          where=self._job.folder,
-                         field=f"level {self._place.level + 1}, epoch {self._place.epoch + 1}, "
-                               f"batch {self._place.step}", found=f"samples {', '.join(keys)}",
+                         field=f"level {self._state.level + 1}, epoch {self._state.epoch + 1}, "
+                               f"batch {self._state.step}", found=f"samples {', '.join(keys)}",
                          fix="the state before it and the best checkpoint are kept: look at these samples, "
                              "or train with a smaller learning_rate or in float32")
 
     # ---- validation
 
     @torch.no_grad()
-    def _validate(self, loader: DataLoader[Batch]) -> tuple[float, float]:
-        """Mean MAD and IoU over the validation samples of all ranks."""
+    def _validate(self, loader: DataLoader[Batch]) -> Validation:
+        """Means over the validation samples of all ranks."""
         job = self._job
-        is_tsdf = job.network.output is Output.TSDF
-        # With tau = 1 mm the difference of probabilities stays as it is.
-        tau = job.facts.tau(self._resolution) if is_tsdf else 1e-3
-        overlap = tsdf_overlap if is_tsdf else occupancy_overlap
+        validator = Validator(job.network.output, job.network.encoding, job.facts.tau(self._resolution))
         self._report.begin("validation", len(job.validation))
         self._level.eval()
-        sums = [0.0, 0.0, 0.0]
         job.validation.set_epoch(0)
         for batch in loader:
             if not len(batch):
                 continue
             example = self._example(batch)
-            prediction = self._forward(example).reconstruction.to(dtype=torch.float32)
-            mads = mad_mm(prediction, example.target, tau)
-            sums[0] += float(mads.sum())
-            sums[1] += float(overlap(prediction, example.target).iou.sum())
-            sums[2] += len(mads)
+            validator.add(self._forward(example).reconstruction.to(dtype=torch.float32), example)
             self._report.advance()
-        mad, iou, count = job.world.sum(sums)
-        if not count:
+        found = validator.means(job.world.sum)
+        if found is None:
             raise OcnfError("no validation sample could be read", code="empty", where=job.folder)
-        return mad / count, iou / count
+        return found
 
-    def _finish_epoch(self, mad: float, iou: float, seconds: float) -> None:
-        place, best = self._place, self._place.best
+    def _finish_epoch(self, found: Validation, seconds: float) -> None:
+        state = self._state
         row = EpochRow(
-            level=place.level + 1, epoch=place.epoch + 1, resolution=self._resolution, steps=place.steps,
-            train_loss=place.loss_sum / max(place.loss_count, 1), val_mad=mad, val_iou=iou,
-            seconds=round(seconds, 3), best=best is None or mad < best.val_mad)
+            level=state.level + 1, epoch=state.epoch + 1, resolution=self._resolution, steps=state.steps,
+            train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=found.mad, val_iou=found.iou,
+            seconds=round(seconds, 3), best=False, val_f_score=found.f_score)
+        row = replace(row, best=is_better(row, state.best, self._job.settings.best_by))
         if row.best and self._job.world.is_main:
             save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
-        place.rows.append(row)
-        place.epoch, place.step = place.epoch + 1, 0
-        place.loss_sum = place.loss_count = 0.0
+        state.rows.append(row)
+        state.epoch, state.step = state.epoch + 1, 0
+        state.loss_sum = state.loss_count = 0.0
         self._save()
-        self._report.epoch(place.rows)
+        self._report.epoch(state.rows, found)
 
     def _header(self, row: EpochRow) -> Header:
         job, network = self._job, self._job.network
         return Header(
             level=row.level, resolution=row.resolution,
-            architecture=Architecture(encoding=network.encoding, join=network.join, carry=network.carry,
-                                      output=network.output, channels=network.channels, band=network.band),
+            architecture=Architecture.of(network),
             data=job.facts, epoch=row.epoch, steps=row.steps,
             metrics={"mad_mm" if network.output is Output.TSDF else "mad": row.val_mad, "iou": row.val_iou,
-                     "train_loss": row.train_loss},
+                     "f_score": row.val_f_score or 0.0, "train_loss": row.train_loss},
             settings=job.settings.decisive(),
             built_on=checkpoint_sha256(job.folder, row.level - 1) if row.level > 1 else None,
             torch=torch_version(),
@@ -222,26 +231,29 @@ class Trainer:
     @property
     def _resolution(self) -> int:
         assert self._job.settings.resolutions is not None  # resolved
-        return self._job.settings.resolutions[self._place.level]
+        return self._job.settings.resolutions[self._state.level]
 
     def _example(self, batch: Batch) -> Example:
         return make_example(batch, self._job.network.output, self._job.target, self._job.world.device)
 
     def _forward(self, example: Example) -> LevelOutput:
+        with self._precision():
+            return self._job.network.run(example.inputs, frozen=self._state.level)[-1]
+
+    def _precision(self) -> torch.autocast:
         low = self._job.settings.precision is Precision.BFLOAT16
-        with torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low):
-            return self._job.network.run(example.inputs, frozen=self._place.level)[-1]
+        return torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low)
 
     def _save(self) -> None:
         if self._job.world.is_main:
-            save_state(self._job.folder, self._place, self._level, self._optimiser)
+            save_state(self._job.folder, self._state, self._level, self._optimiser)
 
 
 def _is_finite(value: float) -> bool:
     return abs(value) < float("inf")
 
 
-def _loader(dataset: ShardDataset, job: Job) -> DataLoader[Batch]:
+def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
                       pin_memory=job.world.device.type == "cuda")

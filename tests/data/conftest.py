@@ -81,14 +81,14 @@ def octree_sample(key: str, seed: int, resolutions: tuple[int, ...] = (16, 32)) 
     members: Members = {}
     leaf_counts: dict[str, int] = {}
     centre, radius = rng.uniform(0.3, 0.7, 3), rng.uniform(0.15, 0.25)
-    for side in resolutions:
-        z, y, x = np.meshgrid(*[(np.arange(side) + 0.5) / side] * 3, indexing="ij")
+    for resolution in resolutions:
+        z, y, x = np.meshgrid(*[(np.arange(resolution) + 0.5) / resolution] * 3, indexing="ij")
         distance = np.sqrt((z - centre[0]) ** 2 + (y - centre[1]) ** 2 + (x - centre[2]) ** 2) - radius
-        sdf = np.clip(distance * side / 2.13, -1, 1).astype(np.float32)
-        bins = rng.integers(0, 10, (side // 8,) * 3).repeat(8, 0).repeat(8, 1).repeat(8, 2)
+        sdf = np.clip(distance * resolution / 2.13, -1, 1).astype(np.float32)
+        bins = rng.integers(0, 10, (resolution // 8,) * 3).repeat(8, 0).repeat(8, 1).repeat(8, 2)
         histogram = np.moveaxis(np.eye(10, dtype=np.float32)[bins], -1, 0)
-        for name, kind, values in ((f"target-{side}.oct", "target", sdf[None]),
-                                   (f"v4_n02-histogram-{side}.oct", "histogram", histogram)):
+        for name, kind, values in ((f"target-{resolution}.oct", "target", sdf[None]),
+                                   (f"v4_n02-histogram-{resolution}.oct", "histogram", histogram)):
             octree = GridOctree.from_dense(np.ascontiguousarray(values))
             members[name] = encode(octree, kind)
             leaf_counts[name] = octree.n_leaves
@@ -97,7 +97,7 @@ def octree_sample(key: str, seed: int, resolutions: tuple[int, ...] = (16, 32)) 
 
 @pytest.fixture(scope="session")
 def octree_samples() -> list[tuple[str, Members]]:
-    """Four samples with real octrees at 16 and 32 voxels a side."""
+    """Four samples with real octrees at 16 and 32 voxels along each axis."""
     return [(f"chair_{i:04d}", octree_sample(f"chair_{i:04d}", i)) for i in range(4)]
 
 

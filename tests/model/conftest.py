@@ -23,7 +23,7 @@ from ocnf_model import OctNetFusion
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.structure import Structure
 
-SIDES = (32, 64)
+RESOLUTIONS = (32, 64)
 CENTRE = np.array([0.7, -1.2, 2.5])  # of the scanned sphere, metres
 RADIUS = 0.2
 
@@ -64,8 +64,8 @@ def leaf_index(structure: Structure) -> np.ndarray:
     """(B, D, H, W): the leaf of each voxel, by way of `GridOctree`."""
     volumes, first = [], 0
     for trees in structure.trees:
-        octree = GridOctree(trees, np.zeros((_count(trees), 1), np.float32))
-        volumes.append(octree.leaf_index() + first)
+        octree = GridOctree(trees, np.arange(_count(trees), dtype=np.float32)[:, None])  # exact up to 2^24
+        volumes.append(octree.to_dense()[0].astype(np.int64) + first)
         first += octree.n_leaves
     return np.stack(volumes)
 
@@ -136,7 +136,7 @@ def dense() -> type[Dense]:
 def manifest(target: str = "tsdf") -> Manifest:
     """Two procedural shapes in the test split, one in the validation split."""
     return Manifest.from_dict({
-        "schema": 1, "name": "tiny", "seed": 3, "target": target, "resolutions": list(SIDES),
+        "schema": 1, "name": "tiny", "seed": 3, "target": target, "resolutions": list(RESOLUTIONS),
         "source": {"kind": "shapes", "categories": ["chair", "mug"], "counts": {"test": 2, "val": 1}},
         "camera": {"rig": "published80", "width": 160, "height": 120, "fx": 88, "fy": 88, "cx": 80, "cy": 60,
                    "distance": 3.0},

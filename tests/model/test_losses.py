@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -9,7 +10,9 @@ from hypothesis import strategies as st
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from ocnf_data.errors import OcnfError
-from ocnf_model import OctreeBatch
+from ocnf_data.octree.occupied import occupied
+from ocnf_model import OctreeBatch, split_surface
+from ocnf_model.evaluation.measure import Field
 from ocnf_model.losses import bce_loss, l1_loss
 from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.octree.leafmap import leaf_means
@@ -49,13 +52,28 @@ def test_metrics_equal_the_dense_ones(data, batches, make_batch, dense) -> None:
     p, g = dense.expand(a), dense.expand(b)
     clipped = (p.clamp(-1, 1) - g.clamp(-1, 1)).abs().mean(dim=(1, 2, 3, 4))
     torch.testing.assert_close(mad_mm(a, b, 0.025), 25 * clipped)
-    for overlap, predicted, true in [(tsdf_overlap(a, b), p <= 0, g <= 0),
+    for overlap, predicted, true in [(tsdf_overlap(a, b), p < 0, g < 0),
                                      (occupancy_overlap(a, b), p >= 0.5, g >= 0.5)]:
         for found, part, whole in [(overlap.iou, predicted & true, predicted | true),
                                    (overlap.precision, predicted & true, predicted),
                                    (overlap.recall, predicted & true, true)]:
             n, m = (mask.sum(dim=(1, 2, 3, 4)).double() for mask in (part, whole))
             torch.testing.assert_close(found, torch.where(m > 0, n / m.clamp(min=1), 1.0))
+
+
+def test_a_voxel_on_the_surface_is_free_everywhere() -> None:
+    """Occupied is TSDF < 0: one rule for target, encodings, structure module and metrics (SEMANTICS 2)."""
+    volume = torch.tensor([-1.0, -1e-3, 0.0, 1e-3]).repeat(2).expand(1, 1, 8, 8, 8).contiguous()
+    inside = (volume < 0).float()
+    tsdf, sharp = OctreeBatch.full(volume), OctreeBatch.full(1 - 2 * inside)
+    assert np.array_equal(occupied(tsdf.to_grids()[0]).to_dense(), inside[0])
+    assert torch.equal(Field(tsdf, is_occupancy=False).as_occupancy().to_dense(), inside)
+    for found in (tsdf_overlap(tsdf, sharp), tsdf_overlap(sharp, tsdf)):
+        assert (found.both, found.only_predicted, found.only_true) == (inside.sum(), 0, 0)
+    for value, splits in [(-1e-3, True), (1e-3, False)]:
+        volume[..., ::2], volume[..., 1::2] = 0, value
+        surface = OctreeBatch.full(volume)
+        assert (split_surface(surface, surface).n_leaves == 16 ** 3) == splits
 
 
 def test_leaf_means_of_the_target_would_flatter_a_coarse_prediction(dense) -> None:

@@ -7,11 +7,12 @@ import sys
 
 import pytest
 import torch
-from torch.nn.functional import conv3d, interpolate, linear, max_pool3d
+from torch.nn.functional import avg_pool3d, conv3d, interpolate, linear, max_pool3d
 
 import ocnf_model
 from ocnf_data.errors import OcnfError
 from ocnf_model import OctNetFusion, OctreeBatch
+from ocnf_model.info import layer_table
 from ocnf_model.losses import bce_loss, l1_loss
 
 SMALL = {"encoding": "tsdf", "channels": (2, 3, 4)}
@@ -35,14 +36,25 @@ def test_number_of_parameters(settings, first, later) -> None:
     network = OctNetFusion(**settings)
     counts = [sum(p.numel() for p in level.parameters()) for level in network.levels]
     assert counts == [first, first + later, first + later]
-    assert network.summary().splitlines()[-1].split() == ["all", f"{sum(counts):,}"]
+    table = layer_table(network, [64, 128, 256])
+    assert table.columns[-1].footer == f"{sum(counts):,}"
+    assert sum(int(str(cell).replace(",", "")) for cell in table.columns[-1].cells) == sum(counts)
+
+
+def dense_context(context, x: torch.Tensor) -> torch.Tensor:
+    """What `DenseContext` adds, layer by layer."""
+    half = context.down1(avg_pool3d(x, 2))
+    quarter = interpolate(context.down2(avg_pool3d(half, 2)), scale_factor=2, mode="trilinear")
+    joined = context.up(torch.cat([quarter, half], 1))
+    return interpolate(context.out(joined), scale_factor=2, mode="trilinear")
 
 
 def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """A level on (B, C, D, H, W) volumes, with torch's own operations."""
     def run(convs, x):
         for conv in convs:
-            x = conv3d(x, conv.weight, conv.bias, padding=1).relu()
+            y = conv3d(x, conv.weight, conv.bias, padding=1).relu()
+            x = y + x if level.residual and y.shape == x.shape else y
         return x
 
     def join(coarse, skipped):
@@ -51,7 +63,10 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
     fine = run(level.down1, run(level.first, x))
     middle = run(level.down2, max_pool3d(fine, 2))
-    deep = run(level.bottom, max_pool3d(middle, 2))
+    deep = max_pool3d(middle, 2)
+    if level.context is not None:
+        deep = deep + dense_context(level.context, deep)
+    deep = run(level.bottom, deep)
     features = run(level.up1, join(run(level.up2, join(deep, middle)), fine))
     if level.output == "occupancy":
         return features, conv3d(features, level.head.weight, level.head.bias, padding=1)
@@ -62,16 +77,19 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 @pytest.mark.parametrize("settings", [
     {"join": "concat", "carry": "features", "output": "tsdf"},
     {"join": "add", "carry": "reconstruction", "output": "occupancy"},
+    {"context": 16, "residual": True},
 ])
 def test_where_every_leaf_is_a_voxel_it_is_the_dense_network(settings) -> None:
     torch.manual_seed(1)
     network = OctNetFusion(**SMALL, levels=2, **settings).double()
-    volumes = [torch.randn(1, 1, side, side, side).double() for side in (32, 64)]
+    for parameter in network.parameters():  # the context's last layer begins at zero
+        parameter.data += 0.1 * torch.randn_like(parameter)
+    volumes = [torch.randn(1, 1, n, n, n).double() for n in (32, 64)]
     outputs = network.run([OctreeBatch.full(volume) for volume in volumes])
     features, raw = dense_level(network.levels[0], volumes[0])
     torch.testing.assert_close(outputs[0].raw.to_dense(), raw)
-    reconstruction = raw if settings["output"] == "tsdf" else raw.sigmoid()
-    carried = features if settings["carry"] == "features" else reconstruction
+    reconstruction = raw.sigmoid() if settings.get("output") == "occupancy" else raw
+    carried = reconstruction if settings.get("carry") == "reconstruction" else features
     carried = interpolate(carried, scale_factor=2, mode="nearest")
     _, raw = dense_level(network.levels[1], torch.cat([carried, volumes[1]], 1))
     torch.testing.assert_close(outputs[1].raw.to_dense(), raw)
@@ -122,6 +140,7 @@ def test_checkpointing_and_grids_apart_change_nothing(inputs) -> None:
 def test_a_later_level_starts_from_the_one_before() -> None:
     network = OctNetFusion(**SMALL, levels=2)
     assert network.start_from_previous(1) == ["first.0.weight"]
+    assert OctNetFusion(**SMALL, levels=2, context=16).start_from_previous(1) == ["first.0.weight"]
     before, after = (network.levels[i].state_dict() for i in (0, 1))
     assert all(torch.equal(before[name], after[name]) for name in before if name != "first.0.weight")
     with pytest.raises(OcnfError, match="no level before"):

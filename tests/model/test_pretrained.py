@@ -13,8 +13,8 @@ from ocnf_data.manifest import Manifest
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
 from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS
-from ocnf_model.evaluation.report import ALL
 from ocnf_model.evaluation.run import run_evaluate
+from ocnf_model.evaluation.summary import ALL
 from ocnf_model.evaluation.weights import read_weights
 
 FOLDER = Path(str(files("ocnf_model"))) / "pretrained"
@@ -42,8 +42,8 @@ def test_info_shows_it() -> None:
 
 def test_the_weights_of_tvl1_were_chosen_for_its_data() -> None:
     chosen = read_weights(FOLDER / "tvl1.json")
-    assert set(chosen) == {("v4_n02", side) for side in (64, 128, 256)}
-    assert {side: weight for (_, side), weight in chosen.items()} == DEFAULT_WEIGHTS
+    assert set(chosen) == {("v4_n02", resolution) for resolution in (64, 128, 256)}
+    assert {resolution: weight for (_, resolution), weight in chosen.items()} == DEFAULT_WEIGHTS
 
 
 @pytest.mark.slow
@@ -57,6 +57,6 @@ def test_better_than_both_baselines_on_shapes_it_never_saw(tmp_path: Path) -> No
     found = run_evaluate("pretrained", str(data), n_figures=0)
     mads = {(one.resolution, one.method): one.mad_mm for one in found.summaries if one.category == ALL}
     assert not any("default" in note for note in found.notes)  # TV-L1 took the file's weights
-    for side in (64, 128):
-        assert mads[side, "Ours"] < 0.8 * mads[side, "VolFus"]
-        assert mads[side, "Ours"] < mads[side, "TV-L1"]
+    for resolution in (64, 128):
+        assert mads[resolution, "Ours"] < 0.8 * mads[resolution, "VolFus"]
+        assert mads[resolution, "Ours"] < mads[resolution, "TV-L1"]

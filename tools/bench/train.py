@@ -16,16 +16,17 @@ import statistics
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import torch
 from rich.console import Console
 from rich.table import Table
 
-from ocnf_data.shards import load_dataset
 from ocnf_model.devices import pick_device
 from ocnf_model.losses import l1_loss
 from ocnf_model.network import OctNetFusion, Output
-from ocnf_model.training.batches import make_example, open_split
+from ocnf_model.training.batches import make_example
+from ocnf_model.training.data import open_data
 from ocnf_model.training.settings import TrainSettings
 
 
@@ -33,13 +34,13 @@ def measure(arguments: argparse.Namespace) -> dict[str, float]:
     """One level: medians over the steps after the first, and the peak memory in GB."""
     settings = TrainSettings(levels=arguments.level, variant=arguments.variant, train_split=arguments.split,
                              encoding=arguments.encoding)
-    manifest = load_dataset(arguments.data).manifest
+    data = open_data(arguments.data, settings)
     device = pick_device(arguments.device)
     level = arguments.level - 1
     network = OctNetFusion(arguments.encoding, arguments.level, checkpointing=arguments.checkpointing)
     network.to(device)
     optimiser = torch.optim.Adam(network.levels[level].parameters(), 1e-4, weight_decay=1e-4)
-    batches = iter(open_split(arguments.data, settings, level, manifest, train=True))
+    batches = iter(data.training(Path(), settings, level))
     times: dict[str, list[float]] = {"read": [], "step": [], "leaves": []}
     for _ in range(arguments.steps + 1):
         began = time.perf_counter()

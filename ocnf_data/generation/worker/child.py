@@ -28,7 +28,7 @@ IDLE_EXIT = 75  # os.EX_TEMPFAIL: ended for want of work, not because of an item
 _PR_SET_PDEATHSIG = 1
 
 
-def main() -> int:
+def run_child() -> int:
     """Serve until the input closes."""
     _die_with(int(sys.argv[1]))
     # Ctrl-C reaches the whole foreground group; what it means is for the driver to say.
@@ -101,4 +101,4 @@ def _die_with(parent: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child())

@@ -2,6 +2,10 @@
 
 An item that crashes its child or keeps it longer than the limit is tried once more, alone in a fresh child,
 and then gives a `Failure` (`crash`, `timeout`). The child lives on from item to item: imports are paid once.
+
+A pool of `pebble` in its place starts in 290 ms instead of 71, holds 25.5 MB in the supervising process
+instead of 16, notices a child that ends with status 0 at the time limit only, and does not start inside
+loky's workers (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -49,7 +53,7 @@ class ChildSetup:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ChildLimits:
     """When to give up on a child.
 
     Attributes:
@@ -80,7 +84,7 @@ class ChildDiedError(Exception):
 class Supervisor:
     """Turns items into samples or failures, in a child process of its own. For one thread at a time."""
 
-    def __init__(self, setup: ChildSetup, limits: Limits) -> None:
+    def __init__(self, setup: ChildSetup, limits: ChildLimits) -> None:
         self.setup = setup
         self.limits = limits
         self.n_started = 0
@@ -238,7 +242,7 @@ def _environment() -> dict[str, str]:
 _of_thread = threading.local()
 
 
-def supervisor_of_this_thread(setup: ChildSetup, limits: Limits) -> Supervisor:
+def supervisor_of_this_thread(setup: ChildSetup, limits: ChildLimits) -> Supervisor:
     """The calling thread's supervisor, kept from shard to shard so that its child is too.
 
     One a thread, not one a process: a Dask worker may run several shards in threads of one process.

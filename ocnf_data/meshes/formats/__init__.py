@@ -4,8 +4,9 @@ Each takes the whole file as bytes and opens nothing else (no material, texture 
 what the header claims against the bytes that are there before it allocates, and raises OcnfError for
 everything else. OFF, OBJ, PLY and STL are read here, because trimesh 5.2 fails on OFF and binary PLY files
 that mix triangles with larger polygons, counts negative OBJ indices from the end of the file instead of from
-the face, splits and reorders the vertices of an OBJ at texture seams, and allocates an object for every line
-of an ASCII PLY. GLB goes through trimesh, behind a check of its accessors.
+the face, splits and reorders the vertices of an OBJ at texture seams, allocates an object for every line of
+an ASCII PLY, and accepts one whose header announces more than it holds (docs/decisions.md). GLB goes through
+trimesh, behind a check of its accessors.
 """
 
 from __future__ import annotations

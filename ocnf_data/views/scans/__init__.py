@@ -1,9 +1,9 @@
 """Posed depth scans: what a user has of a scene, in whatever format, as `Views`.
 
-`read_scan` is the one way in. A format is a module with a `Format`: whether a folder fits, and its listing
-of frames, each with its files, its pose as the file has it, and what its numbers mean. What happens after
-that (`load`) is the same for all. A pixel without a measurement becomes 0, never a free ray: a camera that
-measures nothing has not looked far.
+`read_scan` is the one way in. A format is a module with a `ScanFormat`: whether a folder fits, and its
+listing of frames, each with its files, its pose as the file has it, and what its numbers mean. What happens
+after that (`load`) is the same for all. A pixel without a measurement becomes 0, never a free ray: a camera
+that measures nothing has not looked far.
 
 Nothing is guessed: units, the direction of the poses, intrinsics and invalid values are the format's, or the
 user's. Then neighbouring frames are laid over each other (`agreement`), and a note with figures says if they
@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.scans.kept import is_kept, read_kept_views
-from ocnf_data.views.scans.listing import Axes, Direction, Format, Said
+from ocnf_data.views.scans.listing import Axes, Direction, Said, ScanFormat
 from ocnf_data.views.scans.load import load
 from ocnf_data.views.scans.redwood import OPEN3D
 from ocnf_data.views.scans.scan import Colour, Scan
@@ -28,9 +28,10 @@ from ocnf_data.views.scans.transforms import TRANSFORMS
 from ocnf_data.views.scans.tum import TUM
 from ocnf_data.views.scans.voxlets import VOXLETS
 
-__all__ = ["FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
+__all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
 
-FORMATS: dict[str, Format] = {f.name: f for f in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
+SCAN_FORMATS: dict[str, ScanFormat] = {
+    one.name: one for one in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
 """By the name that `--format` takes."""
 
 
@@ -45,7 +46,7 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         place: a folder, or `FILE.h5::KEY` of kept views.
         every: take every n-th frame only.
         frames: how many, evenly spread, or START:STOP:STEP (see `choose`).
-        format: one of FORMATS; None: the one that the folder's names fit.
+        format: one of SCAN_FORMATS; None: the one that the folder's names fit.
         depth_scale: units of the stored depth in a metre, in place of the format's.
         intrinsics: (fx, fy, cx, cy) of the depth maps in pixels, in place of the scan's.
         poses: `camera-to-world` or `world-to-camera`, in place of the format's.
@@ -67,20 +68,20 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
     return load(chosen.read(Path(text)), text, chosen.name, frames, every, said, report)
 
 
-def _pick(folder: Path, name: str | None) -> Format:
+def _pick(folder: Path, name: str | None) -> ScanFormat:
     if name is not None:
-        if name not in FORMATS:
+        if name not in SCAN_FORMATS:
             raise OcnfError("no such format of scans", field="format", found=name,
-                            expected=", ".join(FORMATS))
+                            expected=", ".join(SCAN_FORMATS))
         if not folder.is_dir():
-            raise OcnfError("not a folder", where=folder, expected=FORMATS[name].holds)
-        return FORMATS[name]
-    fitting = [one for one in FORMATS.values() if one.fits(folder)]
+            raise OcnfError("not a folder", where=folder, expected=SCAN_FORMATS[name].holds)
+        return SCAN_FORMATS[name]
+    fitting = [one for one in SCAN_FORMATS.values() if one.fits(folder)]
     if len(fitting) > 1:
         raise OcnfError("the folder fits several formats", where=folder,
                         found=", ".join(one.name for one in fitting), fix="say which with --format")
     if not fitting:
-        known = "; ".join(f"{one.name}: {one.holds}" for one in FORMATS.values())
+        known = "; ".join(f"{one.name}: {one.holds}" for one in SCAN_FORMATS.values())
         raise OcnfError("not a scan of a known format", where=folder,
                         expected=f"kept views as FILE.h5::KEY, or a folder with what one of these holds "
                                  f"({known})")

@@ -81,7 +81,7 @@ class Listing:
 
 
 @dataclass(frozen=True)
-class Format:
+class ScanFormat:
     """A format of scans.
 
     Attributes:

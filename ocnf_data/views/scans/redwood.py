@@ -20,7 +20,7 @@ import numpy as np
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Direction, Format, Frame, Listing, names_in, numbered
+from ocnf_data.views.scans.listing import Direction, Frame, Listing, ScanFormat, names_in, numbered
 from ocnf_data.views.scans.text import json_array, numbers, read_json, read_table
 
 _COLOURS = ("color", "rgb", "image")
@@ -124,4 +124,5 @@ def _colours(folder: Path, n: int) -> list[Path | None]:
     return [None] * n
 
 
-OPEN3D = Format("open3d", "depth/*.png with a trajectory .log or .json, and an intrinsic .json", _fits, _read)
+OPEN3D = ScanFormat("open3d", "depth/*.png with a trajectory .log or .json, and an intrinsic .json", _fits,
+                    _read)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans.listing import Format, Frame, Listing, check_pinhole, numbered, unmatched
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, check_pinhole, numbered, unmatched
 from ocnf_data.views.scans.text import read_matrix
 
 
@@ -49,4 +49,4 @@ def _pinhole(file: Path) -> F64:
     return check_pinhole(whole[:3, :3], file)
 
 
-SCANNET = Format("scannet", "depth/, pose/ and intrinsic/ of ScanNet's SensReader", _fits, _read)
+SCANNET = ScanFormat("scannet", "depth/, pose/ and intrinsic/ of ScanNet's SensReader", _fits, _read)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans.listing import Format, Frame, Listing, check_pinhole, names_in, unmatched
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, check_pinhole, names_in, unmatched
 from ocnf_data.views.scans.text import read_matrix
 
 _DEPTH, _POSE = ".depth.png", ".pose.txt"
@@ -55,4 +55,4 @@ def _intrinsics(folder: Path, candidates: list[str]) -> F64 | None:
     return check_pinhole(read_matrix(texts[0], 3, 3), texts[0]) if texts else None
 
 
-SEVEN_SCENES = Format("7scenes", "frame-*.depth.png and frame-*.pose.txt", _fits, _read)
+SEVEN_SCENES = ScanFormat("7scenes", "frame-*.depth.png and frame-*.pose.txt", _fits, _read)

@@ -22,7 +22,7 @@ from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Axes, Format, Frame, Listing
+from ocnf_data.views.scans.listing import Axes, Frame, Listing, ScanFormat
 from ocnf_data.views.scans.scan import resized
 from ocnf_data.views.scans.text import json_array, read_json
 
@@ -113,4 +113,4 @@ def _distortion(data: dict[str, Any], entries: list[dict[str, Any]]) -> list[str
     return [f"the lens has distortion (coefficients up to {largest:.2g}), which is not applied"]
 
 
-TRANSFORMS = Format("transforms", "transforms.json whose frames have depth_file_path", _fits, _read)
+TRANSFORMS = ScanFormat("transforms", "transforms.json whose frames have depth_file_path", _fits, _read)

@@ -22,7 +22,7 @@ from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Format, Frame, Listing
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat
 from ocnf_data.views.scans.poses import quaternion_pose
 from ocnf_data.views.scans.text import numbers, read_matrix, read_table
 
@@ -109,4 +109,4 @@ def _intrinsics(folder: Path, depth: Path) -> tuple[F64 | None, list[str]]:
                                 "depth: 525,525,319.5,239.5"]
 
 
-TUM = Format("tum", "depth.txt and groundtruth.txt", _fits, _read)
+TUM = ScanFormat("tum", "depth.txt and groundtruth.txt", _fits, _read)

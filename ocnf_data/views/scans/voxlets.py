@@ -18,7 +18,7 @@ import numpy as np
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Format, Frame, Listing, names_in, numbered
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, names_in, numbered
 from ocnf_data.views.scans.text import json_array
 
 _SCALED = 65536  # a value of this many units is `depth_scaling` metres
@@ -84,4 +84,4 @@ def _cube(folder: Path) -> tuple[tuple[float, float, float], float] | None:
     return (x / 2, y / 2, z / 2), max(x, y, z)
 
 
-VOXLETS = Format("voxlets", "frames/*.pgm and poses/*.yaml", _fits, _read)
+VOXLETS = ScanFormat("voxlets", "frames/*.pgm and poses/*.yaml", _fits, _read)

@@ -25,14 +25,14 @@ class Dense:
 
 def dense_fusion(views: Views, shape: tuple[int, int, int], extent: float = 3.0,
                  truncation: float | None = None, threshold: float | None = None,
-                 origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Dense:
+                 centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Dense:
     """SEMANTICS 2 line by line in plain numpy, all four encodings."""
     voxel = extent / max(shape)
     tau = 0.025 * 256 / 3.0 * voxel if truncation is None else truncation
     threshold = voxel if threshold is None else threshold
     axes = [(np.arange(n) + 0.5) * voxel - n * voxel / 2 for n in shape]
     z, y, x = np.meshgrid(*axes, indexing="ij")
-    points = np.stack([x, y, z], axis=-1) + np.array(origin)
+    points = np.stack([x, y, z], axis=-1) + np.array(centre)
     height, width = views.size
 
     total, count = np.zeros(shape), np.zeros(shape)

@@ -1,4 +1,4 @@
-"""A run to be killed or interrupted: `python driver.py MANIFEST OUT MESHES JOBS`, with fake samples."""
+"""A run to be killed: `python driver.py MANIFEST OUT MESHES JOBS [MAKER]`, of fake samples by default."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def main() -> int:
     from ocnf_data.generation import Interrupted, generate
     from ocnf_data.generation.worker import supervisor
 
-    supervisor.DEFAULT_MAKER = "fake_makers:maker"
-    manifest, out, meshes, jobs = sys.argv[1:]
+    manifest, out, meshes, jobs, *maker = sys.argv[1:]
+    supervisor.DEFAULT_MAKER = maker[0] if maker else "fake_makers:maker"
     try:
         generate(manifest, out, meshes, int(jobs), progress=False)
     except Interrupted as stop:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 import os
 import signal
@@ -17,6 +18,7 @@ from typing import Any
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.records import Item, Sample, Stages
+from ocnf_data.generation.worker.memory import resident_bytes
 
 _ballast: list[bytearray] = []
 
@@ -38,6 +40,31 @@ def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
             members = {"json": json.dumps(facts).encode(), "target-64.oct": payload,
                        "v1-tsdf-64.oct": payload[::-1]}
         return Sample(item.key, members, {"pid": float(os.getpid())})
+
+    return make
+
+
+def measured_maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
+    """The real maker; the memory that the process holds after each item stands among its timings."""
+    from ocnf_data.generation.sample import maker as real_maker
+
+    real = real_maker(setup)
+
+    def make(item: Item, stages: Stages) -> Sample:
+        sample = real(item, stages)
+        gc.collect()
+        return Sample(sample.key, sample.members, {"pid": float(os.getpid()), "resident": resident_bytes()})
+
+    return make
+
+
+def leaking_maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
+    """The same, except that it keeps half a megabyte of each item."""
+    measured = measured_maker(setup)
+
+    def make(item: Item, stages: Stages) -> Sample:
+        _ballast.append(bytearray(os.urandom(1) * 2**19))
+        return measured(item, stages)
 
     return make
 

@@ -80,8 +80,8 @@ def test_lost_failure_rows_are_found_again(meshes, define, tmp_path, fake, conte
     root, out = meshes([*(f"ok_{i}" for i in range(5)), "refuse_1"]), tmp_path / "out"
     generate(define(), out, root, progress=False)
     before = contents(out)
-    (side,) = out.glob("failures/*.jsonl")
-    side.unlink()
+    (rows,) = out.glob("failures/*.jsonl")
+    rows.unlink()
     (out / "failures.jsonl").unlink()
     assert generate(define(), out, root, progress=False).made in (2, 4)
     assert contents(out) == before

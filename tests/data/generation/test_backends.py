@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +10,9 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
-from ocnf_data.generation import generate
+from ocnf_data.generation import backends, generate
+from ocnf_data.generation.plan import make_plan
+from ocnf_data.generation.shard_task import make_shard
 from ocnf_data.generation.worker import supervisor as supervisor_module
 from ocnf_data.verify.verify import verify
 
@@ -76,6 +79,35 @@ def test_workers_that_keep_dying_end_the_run(define, meshes, tmp_path, fake) -> 
     with pytest.raises(OcnfError, match="worker processes keep dying"):
         generate(define(), tmp_path / "out", root, 2, progress=False)
     assert not (tmp_path / "out/dataset.json").exists()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("kind", ["folder", "list"])
+def test_what_reaches_a_dask_worker_is_a_shard_and_not_the_plan(
+        define, meshes, tmp_path, fake, monkeypatch, kind) -> None:
+    """A cluster with its worker in this process: tasks come over TCP, and are looked at as they arrive."""
+    distributed = pytest.importorskip("distributed")
+    arrived = []
+
+    def look(task):
+        arrived.append(task)
+        return make_shard(task)
+
+    names = [f"ok_{i:03}" for i in range(200)]
+    root = meshes(names)
+    source = {"kind": "list", "items": {"train": [f"chair/train/{name}.off" for name in names]}}
+    manifest = define(source=source) if kind == "list" else define()
+    monkeypatch.setattr(backends, "make_shard", look)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://",
+                                  dashboard_address=None, host="127.0.0.1") as cluster:
+        monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", cluster.scheduler_address)
+        report = generate(manifest, tmp_path / "out", root, 1, "dask", progress=False)
+    assert report.samples == 200
+    plan = make_plan(manifest, root)
+    assert sorted((task.shard for task in arrived), key=lambda shard: shard.number) == list(plan.shards)
+    sizes = [len(pickle.dumps(task)) for task in arrived]
+    assert len(sizes) == 50
+    assert max(sizes) < 4000 < len(plan.to_json()) / 10
 
 
 @pytest.mark.parametrize(("jobs", "backend", "field"), [(0, "loky", "jobs"), (1, "slurm", "backend")])

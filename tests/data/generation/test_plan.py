@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.plan import Plan, make_keys, make_plan
+from ocnf_data.generation.records import Failure, Item, ShardPlan
 from ocnf_data.manifest import Entry
 from ocnf_data.shards.tarformat import MAX_NAME, check_key, tar_name
 
@@ -88,6 +90,26 @@ def test_more_meshes_leave_keys_and_relative_order_alone(meshes, define) -> None
     meshes([f"b{i}" for i in range(10)])
     after = [item.key for item in make_plan(define(), root).items if "-a" in item.key]
     assert after == before
+
+
+TEXT = st.text(st.characters(exclude_categories=()), max_size=6)  # file names that are no Unicode too
+ITEMS = st.builds(Item, TEXT, st.just("train"), TEXT, TEXT, st.none() | st.just("0f" * 32),
+                  st.none() | st.integers(0, 2**40))
+LISTS = st.lists(st.lists(ITEMS, min_size=1, max_size=3).map(tuple), max_size=3)
+
+
+@given(LISTS, LISTS)
+def test_the_pieces_of_a_plan_are_canonical_json(train, test) -> None:
+    shards = [ShardPlan(split, number, items) for split, lists in (("train", train), ("test", test))
+              for number, items in enumerate(lists)]
+    failure = Failure("a", "train", "chair", "a.off", "plan", "excluded", "is the same file")
+    plan = Plan({"name": "tiny", "shards": {"samples": 3}}, {"cpu": "any"}, tuple(shards), (failure,))
+    expected = canonical_json({
+        "schema": 1, "manifest": plan.manifest, "fingerprint": plan.fingerprint,
+        "exclusions": [failure.to_json()],
+        "shards": {split: [[item.to_json() for item in items] for items in lists]
+                   for split, lists in (("train", train), ("test", test)) if lists}}, indent=1)
+    assert plan.to_json() == expected
 
 
 def test_a_plan_survives_its_file(meshes, define) -> None:

@@ -17,15 +17,17 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
+from ocnf_data.files.storage import Store
 from ocnf_data.generation import fingerprint, generate
-from ocnf_data.shards.index import index_from_tar
+from ocnf_data.shards import load_dataset, write_dataset
+from ocnf_data.shards.walk import index_from_tar
 
 DRIVER = Path(__file__).with_name("driver.py")
 
 
-def start(manifest: Path, out: Path, root: Path, jobs: int) -> subprocess.Popen[str]:
+def start(manifest: Path, out: Path, root: Path, jobs: int, *maker: str) -> subprocess.Popen[str]:
     """A run in a process group of its own."""
-    command = [sys.executable, str(DRIVER), str(manifest), str(out), str(root), str(jobs)]
+    command = [sys.executable, str(DRIVER), str(manifest), str(out), str(root), str(jobs), *maker]
     return subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, text=True)
 
 
@@ -74,8 +76,8 @@ def test_killed_at_random_moments_and_resumed(job, tmp_path, contents, fake, job
         for tar in out.glob("train/shard-*.tar"):
             with tar.open("rb") as file:
                 index = index_from_tar(file, "train", tar.name, tar)
-            side = tar.with_suffix(".json")
-            assert not side.exists() or side.read_bytes() == index.to_json()
+            index_file = tar.with_suffix(".json")
+            assert not index_file.exists() or index_file.read_bytes() == index.to_json()
     assert not (out / "dataset.json").exists()
     run = start(manifest, out, root, jobs)
     finish(run)
@@ -83,6 +85,46 @@ def test_killed_at_random_moments_and_resumed(job, tmp_path, contents, fake, job
     files = contents(out)
     assert files == contents(uninterrupted)
     assert len([name for name in files if name.endswith(".tar")]) == 6
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory, write_meshes, define, contents) -> tuple[Path, Path, dict[str, bytes]]:
+    """10 items in 5 shards, made by the real maker without interruption: (manifest, meshes, files)."""
+    folder = tmp_path_factory.mktemp("real")
+    write_meshes(folder / "meshes/chair/train", [f"m{i}" for i in range(10)])
+    (folder / "real.yaml").write_text(json.dumps(define(shards={"samples": 2}).to_dict()))
+    generate(folder / "real.yaml", folder / "out", folder / "meshes", progress=False)
+    return folder / "real.yaml", folder / "meshes", contents(folder / "out")
+
+
+def items_done(out: Path) -> int:
+    """Of a run of shards of two items, those of the shard in the making included."""
+    finished = {path.stem.removeprefix("shard-") for path in out.glob("train/shard-*.json")}
+    live = 0
+    for path in out.glob(".progress/train-*"):
+        with contextlib.suppress(OSError):  # its shard was finished while we looked
+            live += path.stat().st_size * (path.name.removeprefix("train-") not in finished)
+    return 2 * len(finished) + live
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_real_samples_are_the_same_after_kills(real, tmp_path, contents, jobs) -> None:
+    """Killed after a random number of items, within a shard or between two, then resumed: the same bytes."""
+    manifest, root, uninterrupted = real
+    maker, out = "ocnf_data.generation.sample:maker", tmp_path / "killed"
+    chance = random.Random(jobs)
+    for n_items in sorted(chance.sample(range(1, 8), 2)):
+        run = start(manifest, out, root, jobs, maker)
+        while items_done(out) < n_items and run.poll() is None:
+            time.sleep(0.002)
+        os.killpg(run.pid, signal.SIGKILL)
+        finish(run)
+        assert run.returncode == -signal.SIGKILL
+        assert not (out / "dataset.json").exists()
+    run = start(manifest, out, root, jobs, maker)
+    finish(run)
+    assert run.returncode == 0
+    assert contents(out) == uninterrupted
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -149,6 +191,65 @@ def test_a_finished_data_set_is_left_as_it_is(meshes, define, tmp_path, contents
     assert contents(out) == before
 
 
+def test_stopped_before_any_write_and_resumed(meshes, define, tmp_path, contents, fake, monkeypatch) -> None:
+    """Each file that the driver writes is the last one, in turn; `dataset.json` comes after all others."""
+    root = meshes([*(f"ok_{i}" for i in range(5)), "refuse_1"])
+    begun: list[str] = []
+    written: list[str] = []
+    writing = Store.writing
+
+    @contextlib.contextmanager
+    def counted(store, name):
+        if len(begun) == stop:
+            raise KeyboardInterrupt
+        begun.append(name)
+        with writing(store, name) as path:
+            yield path
+        written.append(name)
+
+    monkeypatch.setattr(Store, "writing", counted)
+    stop = -1
+    generate(define(), tmp_path / "whole", root, progress=False)
+    names = [name for name in written if not name.startswith("timings/")]
+    assert names[0] == "plan.json"
+    assert names[-3:] == ["failures.jsonl", "train/catalogue.safetensors", "dataset.json"]
+    assert set(names[:-3]) >= {"train/shard-000001.json", "train/shard-000001.tar"}
+    for n in range(len(written)):
+        out = tmp_path / f"stopped-{n}"
+        begun.clear()
+        stop = n
+        with pytest.raises(KeyboardInterrupt):
+            generate(define(), out, root, progress=False)
+        assert not (out / "dataset.json").exists()
+        stop = -1
+        generate(define(), out, root, progress=False)
+        assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_a_data_set_of_an_earlier_version_gains_its_catalogue(
+        meshes, define, tmp_path, contents, fake) -> None:
+    root, out = meshes([f"ok_{i}" for i in range(6)]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before, info = contents(out), load_dataset(str(out))
+    (out / "train/catalogue.safetensors").unlink()
+    files = tuple(entry for entry in info.files if "catalogue" not in entry.name)
+    write_dataset(Store(out), info.model_copy(update={"files": files}))
+    assert load_dataset(str(out)).checksum == info.identity
+    assert generate(define(), out, root, progress=False).made == 0
+    assert contents(out) == before
+
+
+def test_a_lost_or_changed_catalogue_is_written_again(meshes, define, tmp_path, contents, fake) -> None:
+    root, out = meshes([f"ok_{i}" for i in range(6)]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    catalogue = out / "train/catalogue.safetensors"
+    for damage in (catalogue.unlink, lambda: catalogue.write_bytes(b"x")):
+        damage()
+        assert generate(define(), out, root, progress=False).made == 0
+        assert contents(out) == before
+
+
 @pytest.mark.parametrize("what", ["tar", "json"])
 def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents, fake, what) -> None:
     root, out = meshes([f"ok_{i}" for i in range(8)]), tmp_path / "out"
@@ -160,14 +261,17 @@ def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents
     assert contents(out) == before
 
 
-def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, fake) -> None:
-    """`dataset.json` vouches for bytes; a mended data set must have those, or be left without them."""
+def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, contents, fake) -> None:
+    """`dataset.json` lists bytes; a repaired data set must have those, or be left without them."""
     root, out = meshes(["ok_1", "segfault-unfixed_1"]), tmp_path / "out"
     generate(define(limits={"failure_threshold": 1.0}), out, root, progress=False)
     (root / ".fixed").touch()
     (out / "train/shard-000000.json").unlink()
+    before = contents(out)
     with pytest.raises(OcnfError, match="not the one that dataset"):
         generate(define(), out, root, progress=False)
+    for name in ("dataset.json", "failures.jsonl", "train/catalogue.safetensors"):
+        assert (out / name).read_bytes() == before[name]
 
 
 @pytest.mark.parametrize(("changes", "field", "values"), [

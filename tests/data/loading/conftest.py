@@ -11,6 +11,7 @@ import pytest
 from ocnf_data.files.storage import Store
 from ocnf_data.octree import GridOctree, decode, encode
 from ocnf_data.shards import Counts, DatasetInfo, ShardWriter, write_dataset
+from ocnf_data.verify.repair import restore_catalogues
 
 RESOLUTIONS = (16, 32)
 
@@ -46,9 +47,10 @@ def make_members(key: str, number: int, category: str, inputs: dict[str, list[st
     return {"json": json.dumps(facts).encode(), **{name: encode(*octree) for name, octree in octrees.items()}}
 
 
-def write_set(url, splits: dict[str, list[int]], inputs=None, prefix="s", name="tiny", **manifest) -> str:
+def write_set(url, splits: dict[str, list[int]], inputs=None, prefix="s", name="tiny", catalogues=True,
+              **manifest) -> str:
     """A finished data set: `splits` gives the samples of each shard. Keys are s000, s001, ...; every third
-    sample is a lamp, the others are chairs.
+    sample is a lamp, the others are chairs. `catalogues=False` is a data set as earlier versions made it.
     """
     store, number, entries = Store(url), 0, {}
     inputs = {"v4": ["histogram"]} if inputs is None else inputs
@@ -66,6 +68,8 @@ def write_set(url, splits: dict[str, list[int]], inputs=None, prefix="s", name="
         name=name, fingerprint={}, counts=counts,
         manifest={"truncation_voxels": 2.1333, "target": "tsdf", "normalise": {"extent": 3.0}, **manifest},
         splits={split: tuple(found) for split, found in entries.items()}))
+    if catalogues:
+        restore_catalogues(store)
     return str(url)
 
 

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import logging
 import shutil
+from dataclasses import replace
 
 import pytest
 from torch.utils.data import DataLoader
 
 from ocnf_data import OcnfError, ShardDataset
+from ocnf_data.files.storage import Store
+from ocnf_data.shards import FileEntry, load_dataset, write_dataset
+from ocnf_data.shards.catalogue import Keys, stored_catalogue
+from ocnf_data.verify.verify import verify
 
 BLOCK = 512
 
@@ -100,13 +105,67 @@ def test_a_missing_shard_is_found(fresh):
 
 def test_a_damaged_index_is_refused_and_a_lost_one_is_made_anew(fresh):
     url, tar = fresh
+    before = [batch.arena.tolist() for batch in everything(url)]
     index = tar.with_suffix(".json")
     content = index.read_bytes()
-    index.write_bytes(content.replace(b"chair", b"chain", 1))
-    with pytest.raises(OcnfError, match=r"shard-000000\.json"):
-        everything(url)
+    for bit in range(0, 8 * len(content), 997):
+        flip(index, bit // 8, bit % 8)
+        with pytest.raises(OcnfError, match=r"shard-000000\.json") as caught:
+            list(everything(url))
+        assert caught.value.code == "checksum"
+        flip(index, bit // 8, bit % 8)
     index.unlink()
-    assert everything(url).keys[0] == "s000"
+    assert [batch.arena.tolist() for batch in everything(url)] == before
+
+
+def test_a_damaged_index_costs_its_shard_where_damage_is_skipped(fresh):
+    url, tar = fresh
+    flip(tar.with_suffix(".json"), 100)
+    dataset = everything(url, on_error="skip", max_bad_fraction=0.3)
+    met = {key for batch in dataset for key in batch.keys}
+    assert met == {f"s{number:03d}" for number in range(3, 11)}
+    assert sorted(dataset.lost(0)) == ["s000", "s001", "s002"]
+
+
+def test_a_flipped_bit_anywhere_in_a_catalogue_is_found_when_the_set_is_opened(fresh):
+    url, _ = fresh
+    path = url / "train" / "catalogue.safetensors"
+    whole = path.read_bytes()
+    for bit in range(0, 8 * len(whole), 3):
+        flip(path, bit // 8, bit % 8)
+        with pytest.raises(OcnfError, match=r"catalogue\.safetensors") as caught:
+            everything(url)
+        assert caught.value.code == "checksum"
+        path.write_bytes(whole)
+    for content in (b"", whole[:-1], whole[: len(whole) // 2], whole + b"\0"):
+        path.write_bytes(content)
+        with pytest.raises(OcnfError, match="repair"):
+            everything(url)
+
+
+def test_an_index_that_contradicts_the_catalogue_is_refused(fresh):
+    """Both whole, both listed: whoever made the data set was wrong, and nothing of it is delivered."""
+    url, _ = fresh
+    store = Store(url)
+    info = load_dataset(store)
+    catalogue = stored_catalogue(store, info, "train")
+    keys, category_of = list(catalogue.keys), catalogue.category_of.copy()
+    category_of[4] = 1 - category_of[4]
+    for wrong, victim in (({"keys": Keys.of([*keys[:4], "s999", *keys[5:]])}, "s999"),
+                          ({"category_of": category_of}, keys[4]),
+                          ({"members": (("json", *catalogue.members[0][1:], "target-64.oct"),)}, keys[0])):
+        data = replace(catalogue, **wrong).to_bytes()
+        store.put_bytes("train/catalogue.safetensors", data)
+        files = [entry for entry in info.files if entry.name != "train/catalogue.safetensors"]
+        entry = FileEntry.of("train/catalogue.safetensors", data)
+        write_dataset(store, info.model_copy(update={"files": (*files, entry)}))
+        resolutions = 64 if "members" in wrong else 16
+        with pytest.raises(OcnfError, match="other things of a sample than the catalogue") as caught:
+            list(ShardDataset(url, "train", resolutions, None, shuffle=False))
+        assert (caught.value.code, caught.value.field) == ("catalogue", victim)
+        report = verify(store)
+        assert [(row.file, row.code) for row in report.problems] == [
+            ("train/catalogue.safetensors", "catalogue")]
 
 
 @pytest.mark.parametrize("workers", [0, 2, 3])
@@ -184,7 +243,7 @@ def test_no_access_is_not_damage(fresh, monkeypatch):
     def fail(*arguments):
         raise OcnfError("cannot be reached", code="unreachable")
 
-    monkeypatch.setattr("ocnf_data.loading.fetch.check_size", fail)
+    monkeypatch.setattr("ocnf_data.shards.reader.check_size", fail)
     with pytest.raises(OcnfError, match="cannot be reached"):
         list(dataset)
 

@@ -8,7 +8,7 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.loading.cursor import Position
-from ocnf_data.loading.state import make_state, read_state
+from ocnf_data.loading.loader_state import make_state, read_state
 
 ORDER = {"seed": 0, "split": "train", "batch_size": 4, "datasets": ["ab", "cd"], "variant": None,
          "shuffle": True}

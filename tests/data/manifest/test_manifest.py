@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.manifest import SPLITS, Entry, Manifest, difference, load_manifest
+from ocnf_data.manifest import SPLITS, Entry, Manifest, load_manifest, manifest_difference
 from ocnf_data.manifest.schema import ABSENT
 from ocnf_data.views.rigs import view_subset
 
@@ -71,7 +71,7 @@ def test_the_designs_example() -> None:
 def test_the_defaults_are_the_papers() -> None:
     m = Manifest.from_dict({"name": "x", "source": SHAPES, "inputs": example()["inputs"]})
     assert [m.truncation(r) for r in (64, 128, 256)] == pytest.approx([0.1, 0.05, 0.025], rel=1e-15)
-    assert difference(m, Manifest.from_dict(example(name="x", truncation_voxels=32 / 15))) == []
+    assert manifest_difference(m, Manifest.from_dict(example(name="x", truncation_voxels=32 / 15))) == []
     assert m.limits.timeout_s == 300 and m.renderer == "raster"
 
 
@@ -273,6 +273,10 @@ def test_a_missing_field_is_named(field: str) -> None:
     ("", ["not a mapping", "found None"]),
     ("{" * 100_000, ["nested too deeply"]),
     ("name: 2026-99-99\n", ["not valid YAML"]),
+    ("seed: 010\n", ["line 1, column 7", "010 is one number to YAML 1.1 and another to YAML 1.2"]),
+    ("seed: -0_7\n", ["leading zero"]),
+    ("seed: 1:30\n", ["1:30 is one number"]),
+    ("limits: {timeout_s: 1:30.5}\n", ["1:30.5 is one number"]),
 ])
 def test_a_file_that_is_no_manifest(text: str, parts: list[str], tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
@@ -350,7 +354,7 @@ def test_differences_name_the_field_and_both_values() -> None:
     before = Manifest.from_dict(example())
     now = example(seed=1, resolutions=[64, 128])
     now["inputs"][0]["sigma"] = 0.03
-    found = difference(before, Manifest.from_dict(now))
+    found = manifest_difference(before, Manifest.from_dict(now))
     assert set(found) == {("seed", 0, 1), ("inputs[0].sigma", 0.02, 0.03), ("resolutions[2]", 256, ABSENT)}
     assert "inputs[0].sigma: 0.02 before, 0.03 now" in map(str, found)
     assert "resolutions[2]: 256 before, absent now" in map(str, found)
@@ -358,8 +362,8 @@ def test_differences_name_the_field_and_both_values() -> None:
 
 def test_the_place_of_the_meshes_is_no_difference() -> None:
     a, b = (Manifest.from_dict(example(source={**MODELNET, "root": root})) for root in ("/a", "b"))
-    assert difference(a, b) == []
-    assert [d.field for d in difference(a, b, ignore=())] == ["source.root"]
+    assert manifest_difference(a, b) == []
+    assert [d.field for d in manifest_difference(a, b, ignore=())] == ["source.root"]
 
 
 LEAVES = [("seed", 7), ("name", "other"), ("camera.fx", 350.0), ("camera.rig", "icosphere1"),
@@ -380,7 +384,7 @@ def test_exactly_the_changed_fields_differ(chosen: set[tuple[str, Any]]) -> None
         for part in parents:
             place = place[int(part) if isinstance(place, list) else part]
         place[int(last) if isinstance(place, list) else last] = value
-    found = difference(Manifest.from_dict(before), Manifest.from_dict(now))
+    found = manifest_difference(Manifest.from_dict(before), Manifest.from_dict(now))
     assert {(d.field, d.now) for d in found} == chosen
 
 
@@ -409,7 +413,10 @@ def test_the_published_selection(tmp_path: Path) -> None:
     (tmp_path / "bed/train/notes.txt").write_text("")
     source = {**MODELNET, "counts": {"train": 8, "val": 3, "test": 2}}
     m = Manifest.from_dict(example(source=source))
-    chosen = {(e.split, e.path) for e in m.source.entries(m.meshes_root(tmp_path))}
+    entries = m.source.entries(m.meshes_root(tmp_path))
+    hidden = [e for e in entries if e.excluded]
+    assert [(e.split, e.path) for e in hidden] == [("train", "bed/train/.hidden.off")], "once, for two splits"
+    chosen = {(e.split, e.path) for e in entries if not e.excluded}
     assert chosen == {
         *(("train", f"bed/train/bed_{i:04d}.off") for i in range(8)),
         *(("val", f"bed/train/bed_{i:04d}.off") for i in (8, 9, 10)),

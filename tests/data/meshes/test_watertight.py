@@ -30,9 +30,9 @@ def damaged(part, scale, shift):
 def test_a_damaged_sphere_closes_in_its_own_coordinates(scale):
     shift = np.array([10.0, -20.0, 5.0]) * scale
     vertices, faces = damaged(ellipsoid(1, 0.8, 0.6, 100), scale, shift)
-    closed, sides = make_watertight(vertices, faces, RESOLUTION, level=0)
-    assert is_watertight(sides)
-    assert volume(closed, sides) == pytest.approx(4 / 3 * np.pi * 0.48 * scale**3, rel=0.02)
+    closed, surface_faces = make_watertight(vertices, faces, RESOLUTION, level=0)
+    assert is_watertight(surface_faces)
+    assert volume(closed, surface_faces) == pytest.approx(4 / 3 * np.pi * 0.48 * scale**3, rel=0.02)
     voxel = 2 * scale / 0.95 / RESOLUTION
     np.testing.assert_allclose(closed.min(axis=0), vertices.min(axis=0), atol=voxel)
     np.testing.assert_allclose(closed.max(axis=0), vertices.max(axis=0), atol=voxel)
@@ -43,18 +43,18 @@ def test_hidden_parts_vanish_and_solids_merge():
     parts = [box(2, 2, 2), box(1, 1, 1).move(z=0.5), box(1, 1, 3).move(x=1)]
     vertices = np.concatenate([p.vertices for p in parts])
     faces = np.concatenate([p.faces + 8 * i for i, p in enumerate(parts)])
-    closed, sides = make_watertight(vertices, faces, RESOLUTION, level=0)
-    assert is_watertight(sides)
+    closed, surface_faces = make_watertight(vertices, faces, RESOLUTION, level=0)
+    assert is_watertight(surface_faces)
     # 8 + 3 less the overlap of 0.5 x 1 x 2
-    assert volume(closed, sides) == pytest.approx(10, rel=0.03)
+    assert volume(closed, surface_faces) == pytest.approx(10, rel=0.03)
 
 
 def test_a_sheet_becomes_a_slab_of_about_a_voxel():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
-    closed, sides = make_watertight(vertices, np.array([[0, 1, 2], [0, 2, 3]]), 128)
+    closed, surface_faces = make_watertight(vertices, np.array([[0, 1, 2], [0, 2, 3]]), 128)
     voxel = 1 / 0.95 / 128
-    assert is_watertight(sides)
-    assert 0.5 * voxel < volume(closed, sides) < 3 * voxel
+    assert is_watertight(surface_faces)
+    assert 0.5 * voxel < volume(closed, surface_faces) < 3 * voxel
     assert len(np.unique(np.round(closed[:, :2] / 0.05), axis=0)) > 350  # whole: no hole anywhere
 
 

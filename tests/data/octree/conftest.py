@@ -41,7 +41,7 @@ def from_dense_slowly(values: np.ndarray, tolerance: float) -> tuple[list[int], 
         return bool((node.max(axis=1) - node.min(axis=1) > tolerance).any())
 
     trees, rows = [], []
-    for origin in itertools.product(*(range(0, side, 8) for side in values.shape[1:])):
+    for origin in itertools.product(*(range(0, n, 8) for n in values.shape[1:])):
         bits, leaves = walk(split, *origin)
         trees.append(bits)
         rows += [block(*leaf).mean(axis=1) for leaf in leaves]

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree import TARGET, GridOctree, RawOctree, decode, decode_raw, encode, encode_raw, quantise
-from ocnf_data.octree.codec import MAX_BYTES
+from ocnf_data.octree.codec import MAX_DECODED_BYTES
 
 KINDS = [TARGET, *Encoding]
 
@@ -201,7 +201,7 @@ def set_data(key: str, value: object) -> Callable[[bytes, bytes], bytes]:
 def claim(shape: list[int], n_leaves: int) -> Callable[[bytes, bytes], bytes]:
     """A header that is consistent in itself."""
     def change(fields: dict, meta: dict) -> None:
-        grid = [side // 8 for side in shape]
+        grid = [n // 8 for n in shape]
         end_of_trees = int(np.prod(grid)) * 10
         meta["shape"] = shape
         fields["trees"] |= {"shape": [*grid, 10], "data_offsets": [0, end_of_trees]}
@@ -289,16 +289,16 @@ def test_frames_without_size_or_checksum_or_with_company(golden: tuple[np.ndarra
 
 
 def test_a_large_volume_of_few_bytes_takes_no_memory_under_a_small_name() -> None:
-    side = 256
-    blob = encode(GridOctree.trusted(np.zeros((side // 8,) * 3 + (2,), np.uint64),
-                                     np.ones(((side // 8) ** 3, 1), np.float32)), "target")
-    assert decode(blob).shape == (side,) * 3
+    n = 256
+    blob = encode(GridOctree.trusted(np.zeros((n // 8,) * 3 + (2,), np.uint64),
+                                     np.ones(((n // 8) ** 3, 1), np.float32)), "target")
+    assert decode(blob).shape == (n,) * 3
     tracemalloc.start()
     with pytest.raises(OcnfError, match="another resolution"):
         decode_raw(blob, "target", resolution=16)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < side**3 // 512 * 10  # less than its trees
+    assert peak < n**3 // 512 * 10  # less than its trees
 
 
 def test_bombs_do_not_go_off(golden: tuple[np.ndarray, GridOctree]) -> None:
@@ -324,5 +324,5 @@ def test_bombs_do_not_go_off(golden: tuple[np.ndarray, GridOctree]) -> None:
 def test_what_could_not_be_read_is_not_written() -> None:
     trees = np.zeros((1, 1, 129, 2), np.uint64)
     octree = GridOctree(trees, np.zeros((129, 1), np.float32))
-    with pytest.raises(OcnfError, match=f"too large to be stored.*1024 a side and {MAX_BYTES} bytes"):
+    with pytest.raises(OcnfError, match=f"too large to be stored.*1024 along an axis.*{MAX_DECODED_BYTES}"):
         encode(octree, TARGET)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.octree import GridOctree, mean_on, split_structure
+from ocnf_data.octree import GridOctree, mean_on
 
 SHAPES = [(8, 8, 8), (16, 8, 24), (8, 24, 16)]
 
@@ -21,7 +21,7 @@ def blocky(rng: np.random.Generator, n_channels: int, shape: tuple[int, int, int
     """A volume with leaves of every width: coarse cells, some of them disturbed in single voxels."""
     values = np.zeros((n_channels, *shape), np.float32)
     for width in (8, 4, 2, 1):
-        coarse = rng.integers(0, 2, [side // width for side in shape]) * (rng.random() < 0.7)
+        coarse = rng.integers(0, 2, [n // width for n in shape]) * (rng.random() < 0.7)
         sparse = coarse * (rng.random(coarse.shape) < 0.1)
         values += np.kron(sparse, np.ones((width, width, width)))
     return values + np.arange(n_channels, dtype=np.float32)[:, None, None, None]
@@ -30,7 +30,7 @@ def blocky(rng: np.random.Generator, n_channels: int, shape: tuple[int, int, int
 def test_golden_octree(golden: tuple[np.ndarray, GridOctree]) -> None:
     volume, expected = golden
     octree = GridOctree.from_dense(volume)
-    assert octree.structure_equal(expected)
+    assert np.array_equal(octree.trees, expected.trees)
     np.testing.assert_array_equal(octree.data, expected.data)
     np.testing.assert_array_equal(octree.to_dense(), volume)
     assert (octree.shape, octree.channels, octree.n_leaves) == ((8, 8, 16), 1, 1 + 6 + 14 + 16)
@@ -61,10 +61,6 @@ def test_from_dense_is_the_recursive_definition(
     assert bits_of(octree) == trees
     np.testing.assert_array_equal(octree.data, rows)
     GridOctree(octree.trees, octree.data)  # what from_dense does not check is valid
-
-    np.testing.assert_array_equal(
-        split_structure(values, 1e-6 * span if tolerance is None else tolerance), octree.trees
-    )
     np.testing.assert_array_equal(mean_on(octree.trees, values), octree.data)
 
 
@@ -91,7 +87,7 @@ def test_the_mean_of_equal_values_is_that_value(value: float) -> None:
     assert octree.n_leaves == 8
     assert (octree.data == np.float32(value)).all()
     # By summing, too: a structure finer than needed takes the other path.
-    fine = split_structure(np.random.default_rng(0).random((1, 16, 16, 16), np.float32), 0.999)
+    fine = GridOctree.from_dense(np.random.default_rng(0).random((1, 16, 16, 16), np.float32), 0.999).trees
     assert (mean_on(fine, np.full((2, 16, 16, 16), value, np.float32)) == np.float32(value)).all()
 
 
@@ -99,7 +95,9 @@ def test_the_mean_of_equal_values_is_that_value(value: float) -> None:
 @given(st.data())
 def test_maps_agree_with_each_other(octrees: Callable, data: st.DataObject) -> None:
     octree = data.draw(octrees())
-    index, width, dense = octree.leaf_index(), octree.leaf_width(), octree.to_dense()
+    width, dense = octree.leaf_width(), octree.to_dense()
+    rows = np.arange(octree.n_leaves, dtype=np.float32)[:, None]  # exact up to 2^24
+    index = octree.with_data(rows).to_dense()[0].astype(int)
     np.testing.assert_array_equal(np.moveaxis(dense, 0, -1), octree.data[index])
     np.testing.assert_array_equal(width, octree.leaf_sizes()[index])
     # Each leaf covers width^3 voxels, the cube from its lowest corner.
@@ -137,9 +135,9 @@ def test_results_do_not_depend_on_the_number_of_threads() -> None:
 def test_it_survives_pickling_and_other_memory_orders(golden: tuple[np.ndarray, GridOctree]) -> None:
     volume, octree = golden
     copy = pickle.loads(pickle.dumps(octree))
-    assert copy.structure_equal(octree) and np.array_equal(copy.data, octree.data)
+    assert np.array_equal(copy.trees, octree.trees) and np.array_equal(copy.data, octree.data)
     again = GridOctree.from_dense(np.asfortranarray(volume))
-    assert again.structure_equal(octree) and np.array_equal(again.data, octree.data)
+    assert np.array_equal(again.trees, octree.trees) and np.array_equal(again.data, octree.data)
     strided = GridOctree(np.asfortranarray(octree.trees), np.repeat(octree.data, 2, axis=0)[::2])
     np.testing.assert_array_equal(strided.to_dense(), volume)
 

@@ -1,4 +1,4 @@
-"""What rounding may and may not do to the values of each kind (DESIGN, "A data set on disk")."""
+"""What rounding may and may not do to the values of each kind (docs/format.md, "An octree member")."""
 
 from __future__ import annotations
 

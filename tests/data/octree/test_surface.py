@@ -18,22 +18,22 @@ def volume(vertices, faces) -> float:
 
 
 def centres(shape, extent):
-    """x, y, z of the voxel centres of a grid (D, H, W) whose longest side measures `extent`."""
+    """x, y, z of the voxel centres of a grid (D, H, W) whose longest axis measures `extent`."""
     s = extent / max(shape)
     z, y, x = np.meshgrid(*((np.arange(n) + 0.5 - n / 2) * s for n in shape), indexing="ij")
     return x, y, z, s
 
 
-@pytest.mark.parametrize(("shape", "extent", "origin"), [
+@pytest.mark.parametrize(("shape", "extent", "centre"), [
     ((64, 64, 64), 3.0, (0.0, 0.0, 0.0)), ((48, 64, 56), 2.0, (5.0, -1.0, 0.5))])
-def test_sphere_lies_where_it_is(shape, extent, origin):
+def test_sphere_lies_where_it_is(shape, extent, centre):
     x, y, z, s = centres(shape, extent)
     middle, r = np.array([0.1, 0.05, -0.1]) * extent, 0.2 * extent
     distance = np.sqrt((x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2) - r
     octree = GridOctree.from_dense(np.clip(distance / (2 * s), -1, 1).astype(np.float32)[None])
     for level in (0.0, 0.5):
-        vertices, faces = octree_surface(octree, extent, level, origin)
-        radius = np.linalg.norm(vertices - middle - origin, axis=1)
+        vertices, faces = octree_surface(octree, extent, level, centre)
+        radius = np.linalg.norm(vertices - middle - centre, axis=1)
         np.testing.assert_allclose(radius, r + level * 2 * s, atol=0.05 * s)
         assert is_watertight(faces)
         assert volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * (r + level * 2 * s) ** 3, rel=0.01)

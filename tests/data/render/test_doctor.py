@@ -30,7 +30,7 @@ def test_this_machine() -> None:
     assert egl.status is (Status.OK if find_library("EGL") else Status.WARNING), egl
     assert {"Python", "machine", "disk", "libraries: core"} <= {check.name for check in checks}
     for check in checks:
-        assert check.status in (Status.OK, Status.NOTE) or check.mend
+        assert check.status in (Status.OK, Status.NOTE) or check.fix
 
 
 def test_the_probe_measures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,22 +63,22 @@ def test_crashes_and_hangs(monkeypatch: pytest.MonkeyPatch, code: str, problem: 
     monkeypatch.setattr(doctor.subprocess, "run", lambda _, **settings: run(command, **settings))
     check = doctor._raster()
     assert (check.status, check.found) == (Status.FAILURE, problem)
-    assert check.mend
+    assert check.fix
 
 
-@pytest.mark.parametrize(("report", "mend"), [
+@pytest.mark.parametrize(("report", "fix"), [
     ({"problem": "the module pyrender is not installed"}, "pip install 'ocnf[gl]'"),
     ({"problem": "OpenGL gives no context on egl"}, "apt-get install libegl1 libgl1 libxrender1"),
 ])
-def test_missing_opengl_is_a_warning(monkeypatch: pytest.MonkeyPatch, report: dict, mend: str) -> None:
+def test_missing_opengl_is_a_warning(monkeypatch: pytest.MonkeyPatch, report: dict, fix: str) -> None:
     monkeypatch.setattr(doctor.ctypes.util, "find_library", lambda name: name)
     answers = {"raster": GOOD, "pyrender": report}
     monkeypatch.setattr(doctor, "_try_in_child", lambda backend, **env: answers[backend])
     egl = _named(doctor.diagnose(), "render: pyrender on EGL")
-    assert (egl.status, egl.mend) == (Status.WARNING, mend)
+    assert (egl.status, egl.fix) == (Status.WARNING, fix)
     screen = io.StringIO()
     assert doctor.run_doctor(Console(file=screen, width=200)) == 0
-    assert mend in screen.getvalue()
+    assert fix in screen.getvalue()
 
 
 def test_broken_rasteriser_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,9 +48,9 @@ def test_busiest_plane_cuts_the_surface():
 
 def test_busiest_window_holds_the_surface_and_stays_inside():
     octree = GridOctree.from_dense(ball((24, 24, 24), radius=4))
-    window = busiest_window(octree, 1, 12, side=16)
+    window = busiest_window(octree, 1, 12, width=16)
     assert (window.row, window.column) == (3.5, 3.5)  # the median of voxels 0..23, less half of 16
-    assert busiest_window(octree, 1, 12, side=64)[:2] == (0, 0)
+    assert busiest_window(octree, 1, 12, width=64)[:2] == (0, 0)
 
 
 def triangulated_sphere(n=48):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import types
 from collections.abc import Callable, Iterator
 
 import numba
@@ -12,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.render import render_depth
+from ocnf_data.render import raster, render_depth
 from ocnf_data.render.raster import rasterise
 from ocnf_data.views.rigs import fibonacci, intrinsics, look_from, published80
 
@@ -199,13 +201,46 @@ def test_thread_count_changes_nothing() -> None:
     np.testing.assert_array_equal(*depths)
 
 
-def test_absurd_cameras_stay_inside_the_image() -> None:
+@pytest.fixture(scope="module")
+def bounds_checked() -> Callable[..., np.ndarray]:
+    """`rasterise` out of the same kernels, compiled so that an index outside its array raises IndexError."""
+    namespace = dict(vars(raster))
+    for name in ("_to_camera", "_upper_first", "_project", "_draw", "_draw_clipped", "_render_strided"):
+        function = types.FunctionType(namespace[name].py_func.__code__, namespace, name)
+        namespace[name] = numba.njit(boundscheck=True, error_model="numpy")(function)
+
+    def rasterise(vertices, faces, K, R, T, size, near=1e-3) -> np.ndarray:
+        depth = np.empty((len(R), *size), np.float32)
+        pinholes = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
+        namespace["_render_strided"](vertices, faces.astype(np.uint32), pinholes, R, T, near, 0, 1, depth)
+        return depth
+
+    return rasterise
+
+
+ABSURD = np.array([[1e308, 1e308, 1.0], [-1e308, 1e308, 1.0], [0, -1e308, 1.0], [1e300, 0, 1e-3],
+                   [3e9, -2e9, 0.5], [-7.0, 1e17, 2e-3], [0.0, 0.0, 1.0], [1e-3, 1e-3, -1e300]])
+
+
+@pytest.mark.parametrize("focal", [1e-300, 1.0, 1e9, 1e300])
+@pytest.mark.parametrize("centre", [3.0, -1e12, 1e308])
+def test_absurd_cameras_stay_inside_the_image(bounds_checked: Same, focal: float, centre: float) -> None:
     """Overflow to inf and NaN in the set-up must not write outside the buffers."""
-    vertices = np.array([[1e308, 1e308, 1.0], [-1e308, 1e308, 1.0], [0, -1e308, 1.0], [1e300, 0, 1e-3]])
-    faces = np.array([[0, 1, 2], [1, 2, 3], [0, 3, 1]])
-    depth = rasterise(vertices, faces, np.array([[[1e9, 0, 3], [0, 1e9, 3], [0, 0, 1]]]), np.eye(3)[None],
-                      np.zeros((1, 3)), (9, 7))
-    assert depth.shape == (1, 9, 7)
+    faces = np.array(list(itertools.permutations(range(len(ABSURD)), 3)))
+    K = np.array([[[focal, 0, centre], [0, focal, 3], [0, 0, 1]]])
+    scene = (ABSURD, faces, K, np.eye(3)[None], np.zeros((1, 3)), (9, 7))
+    inside = bounds_checked(*scene)  # first: the other would write where it likes
+    np.testing.assert_array_equal(rasterise(*scene), inside)
+
+
+@pytest.mark.parametrize("distance", [0.6, 1.1, 3.0])
+def test_ordinary_cameras_stay_inside_the_image(bounds_checked: Same, distance: float) -> None:
+    """Triangles over all four borders, and across the near plane."""
+    R, T = look_from(fibonacci(5), distance)
+    for vertices, faces in MESHES.values():
+        scene = (vertices, faces, np.repeat(K[None], 5, axis=0), R, T, SIZE)
+        inside = bounds_checked(*scene)  # first: the other would write where it likes
+        np.testing.assert_array_equal(rasterise(*scene), inside)
 
 
 R1, T1 = np.eye(3)[None], np.array([[0.0, 0.0, 3.0]])

@@ -72,7 +72,7 @@ def centres(views: Views) -> np.ndarray:
 def test_cameras_in_a_room_are_in_it_and_clear_of_it(index: int) -> None:
     manifest, mesh = scenes("rooms", "inside20"), make_scene("rooms", 0, index, "train")
     vertices, _ = normalise(mesh, 3.0, 0.05)
-    views = render_item(manifest, vertices, mesh, "k")
+    views = render_item(manifest, vertices, mesh, key="k")
     assert len(views) == manifest.camera.n_views == 20
     box = np.ptp(vertices, axis=0) / 2
     assert (np.abs(centres(views)) < box * 0.77).all()
@@ -82,7 +82,7 @@ def test_cameras_in_a_room_are_in_it_and_clear_of_it(index: int) -> None:
     below = render_depth(vertices, mesh.faces, manifest.camera.K, down, -np.einsum(
         "vij,vj->vi", down, centres(views)), (48, 64))
     assert np.isfinite(below).all()
-    again, other = (render_item(manifest, vertices, mesh, key) for key in ("k", "l"))
+    again, other = (render_item(manifest, vertices, mesh, key=key) for key in ("k", "l"))
     np.testing.assert_array_equal(again.depth, views.depth)
     assert not np.array_equal(other.T, views.T)
 
@@ -90,7 +90,7 @@ def test_cameras_in_a_room_are_in_it_and_clear_of_it(index: int) -> None:
 def test_a_tabletop_is_seen_from_all_around() -> None:
     manifest, mesh = scenes("tabletops", "around12"), make_scene("tabletops", 0, 1, "train")
     vertices, _ = normalise(mesh, 3.0, 0.05)
-    views = render_item(manifest, vertices, mesh, "k")
+    views = render_item(manifest, vertices, mesh, key="k")
     assert (centres(views)[:, 2] > 0.2).all() and (np.isfinite(views.depth).mean(axis=(1, 2)) > 0.1).all()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 from ocnf_data.files.storage import Store
 from ocnf_data.octree.codec import decode, decode_raw
 from ocnf_data.octree.stored import STORAGE
+from ocnf_data.verify.repair import restore_catalogues
 
 DOC = Path(__file__).parents[3] / "docs" / "format.md"
 Members = dict[str, bytes]
@@ -40,6 +42,15 @@ def test_the_printed_code_runs(number: int, octree_set: Store,
         assert [line.split() for line in lines] == [
             [key, "chair", str(decode(members["target-16.oct"]).n_leaves)]
             for key, members in octree_samples[:2]]
+
+
+def test_the_printed_code_reads_a_catalogue(octree_set: Store,
+                                            octree_samples: list[tuple[str, Members]]) -> None:
+    restore_catalogues(octree_set)
+    code = code_blocks()[2]
+    assert "ocnf_data" not in code
+    printed = subprocess.check_output([sys.executable, "-c", code], cwd=octree_set.root).decode()
+    assert ast.literal_eval(printed) == {key: "chair" for key, _ in octree_samples[:3]}
 
 
 def test_the_arrays_of_the_ten_lines_are_the_octree(octree_set: Store) -> None:

@@ -33,7 +33,7 @@ from ocnf_data.shards import (
     load_dataset,
     write_dataset,
 )
-from ocnf_data.shards.index import index_from_tar
+from ocnf_data.shards.walk import index_from_tar
 from ocnf_data.verify.verify import verify
 
 Members = dict[str, bytes]
@@ -84,7 +84,7 @@ def tar_of(*members: tuple[tarfile.TarInfo, bytes], tar_format: int = tarfile.US
 
 
 def plant(store: Store, tar: bytes, n_samples: int = 1, index: bytes | None = None) -> ShardEntry:
-    """Publish a tar as an attacker would: with a dataset.json that vouches for it."""
+    """Publish a tar as an attacker would: with a dataset.json that lists it."""
     store.put_bytes(f"train/{SHARD}", tar)
     if index is not None:
         store.put_bytes("train/shard-000000.json", index)
@@ -100,7 +100,7 @@ def refused(store: Store, entry: ShardEntry) -> set[str]:
     """Read and verify a planted shard; both must refuse it for what it is. The codes that verify gives."""
     with pytest.raises(OcnfError) as caught, ShardReader(store, "train", entry) as reader:
         list(reader.samples())
-    assert caught.value.code != "checksum"  # dataset.json vouches for it, so hashes are no reason
+    assert caught.value.code != "checksum"  # dataset.json lists it, so hashes are no reason
     report = verify(store)
     assert not report.ok
     return {problem.code for problem in report.problems}
@@ -250,7 +250,7 @@ def test_a_member_that_lies_is_one_row_of_verify(tmp_path: Path, lie: str, write
 
 
 def test_json_that_contradicts_the_index_is_reported(tmp_path: Path, octree_set: Store) -> None:
-    """An index can be swapped where there is no dataset.json yet to vouch for it; the tar contradicts it."""
+    """An index can be swapped where no dataset.json checks it yet; the tar contradicts it."""
     octree_set.remove("dataset.json")
     path = octree_set.root / "train/shard-000000.json"
     raw = json.loads(path.read_bytes())

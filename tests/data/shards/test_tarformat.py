@@ -17,8 +17,8 @@ from ocnf_data.shards.tarformat import (
     input_member,
     make_header,
     padding,
-    parse_header,
     parse_member,
+    parse_tar_header,
     split_name,
     stored_size,
     tar_name,
@@ -38,7 +38,7 @@ def test_header_is_what_python_tarfile_writes_for_these_facts(key: str, size: in
 
 @given(KEYS, SIZES)
 def test_a_header_reads_back(key: str, size: int) -> None:
-    assert parse_header(make_header(key, "v4_n02-tsdf-64.oct", size)) == (key, "v4_n02-tsdf-64.oct", size)
+    assert parse_tar_header(make_header(key, "v4_n02-tsdf-64.oct", size)) == (key, "v4_n02-tsdf-64.oct", size)
 
 
 def test_every_flipped_bit_of_a_header_is_refused() -> None:
@@ -47,13 +47,13 @@ def test_every_flipped_bit_of_a_header_is_refused() -> None:
         damaged = bytearray(header)
         damaged[bit // 8] ^= 1 << bit % 8
         with pytest.raises(OcnfError):
-            parse_header(bytes(damaged))
+            parse_tar_header(bytes(damaged))
 
 
 @given(st.binary(max_size=600))
 def test_random_blocks_are_refused(block: bytes) -> None:
     with pytest.raises(OcnfError):
-        parse_header(block)
+        parse_tar_header(block)
 
 
 @given(st.data())
@@ -72,7 +72,7 @@ def test_headers_of_other_writers_are_refused_unless_equal(data: st.DataObject) 
     info.linkname = data.draw(st.sampled_from(["", "", "/etc/passwd"]))
     block = info.tobuf(data.draw(st.sampled_from([tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT])))[:BLOCK]
     try:
-        key, member, size = parse_header(block)
+        key, member, size = parse_tar_header(block)
     except OcnfError:
         return
     assert block == make_header(key, member, size)
@@ -108,7 +108,7 @@ def test_impossible_sizes_are_refused(member: str, size: int) -> None:
         info = tarfile.TarInfo(f"a.{member}")
         info.size = size
         with pytest.raises(OcnfError) as caught:
-            parse_header(info.tobuf(tarfile.USTAR_FORMAT))
+            parse_tar_header(info.tobuf(tarfile.USTAR_FORMAT))
         assert caught.value.code == "too_large"
 
 

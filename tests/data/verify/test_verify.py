@@ -18,13 +18,13 @@ from ocnf_data.shards import (
     DatasetInfo,
     FileEntry,
     ShardWriter,
-    is_complete,
+    find_complete,
     load_dataset,
     write_dataset,
 )
-from ocnf_data.verify.info import describe, print_info
+from ocnf_data.verify.problems import print_verify
 from ocnf_data.verify.repair import find_damaged, quarantine, restore_index
-from ocnf_data.verify.report import print_verify
+from ocnf_data.verify.summary import describe, print_summary
 from ocnf_data.verify.verify import verify
 
 Members = dict[str, bytes]
@@ -38,7 +38,7 @@ def shown(show: Callable[[Console], object], width: int = 200) -> str:
 
 
 def rewrite(store: Store, failures: bytes | None = None, plan: bytes | None = None) -> None:
-    """Another dataset.json, vouching for other failures or another plan: wrong books, right bytes."""
+    """Another dataset.json, listing other failures or another plan: wrong books, right bytes."""
     info = load_dataset(store)
     files = {"failures.jsonl": failures, "plan.json": plan}
     for name, data in files.items():
@@ -161,7 +161,7 @@ def test_a_set_in_memory(octree_samples: list[tuple[str, Members]], write_set: C
     assert quarantine(store, TAR) == [f"quarantine/{INDEX}", f"quarantine/{TAR}"]
     assert store.read_bytes(f"quarantine/{TAR}") == bytes(blob)
     assert not store.exists(TAR)
-    assert not is_complete(store, "train", 0)
+    assert not find_complete(store, "train", 0)
 
 
 def test_repair_makes_the_data_set_whole_again(octree_set: Store,
@@ -222,14 +222,14 @@ def test_info_sums_up_what_the_tars_hold(octree_set: Store,
             leaves = [json.loads(members["json"])["leaf_counts"][name] for _, members in octree_samples]
             assert (part.leaves, part.fewest, part.most) == (sum(leaves), min(leaves), max(leaves))
             assert 0 < part.fill <= 1
-    text = shown(lambda console: print_info(summary, console))
+    text = shown(lambda console: print_summary(summary, console))
     for expected in ("tiny", "f00d", "5 inputs = 4 samples + 1 failures", "target-16.oct", "histogram-32"):
         assert expected in text
     octree_set.remove("dataset.json")
     unfinished = describe(octree_set)
     assert unfinished.info is None
     assert unfinished.samples == 4
-    assert "unfinished" in shown(lambda console: print_info(unfinished, console))
+    assert "unfinished" in shown(lambda console: print_summary(unfinished, console))
 
 
 def test_a_pipe_in_the_place_of_a_file_is_reported_and_not_opened(opaque_set: Store) -> None:
@@ -240,6 +240,6 @@ def test_a_pipe_in_the_place_of_a_file_is_reported_and_not_opened(opaque_set: St
     for name in ("plan.json", "failures.jsonl", "failures/train-000009.jsonl"):
         (folder / name).unlink(missing_ok=True)
         os.mkfifo(folder / name)
-    vouched = {entry.name for entry in load_dataset(opaque_set).files}
+    listed = {entry.name for entry in load_dataset(opaque_set).files}
     problems = verify(opaque_set).problems
-    assert {problem.file for problem in problems if problem.code == "missing"} == vouched
+    assert {problem.file for problem in problems if problem.code == "missing"} == listed

@@ -1,4 +1,4 @@
-"""The noise depends on (seed, key, view) and on nothing else (promise 9 of the design)."""
+"""The noise depends on (seed, key, view) and on nothing else (promise 9)."""
 
 from __future__ import annotations
 

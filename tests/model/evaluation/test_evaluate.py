@@ -23,13 +23,13 @@ from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.baselines import tvl1
 from ocnf_model.cli import app
-from ocnf_model.evaluation.figure import TRUTH, draw_surfaces
-from ocnf_model.evaluation.measure import Row
+from ocnf_model.evaluation.figure import draw_surfaces
+from ocnf_model.evaluation.measure import TRUTH, Row
 from ocnf_model.evaluation.methods import default_weight
-from ocnf_model.evaluation.report import summarise
 from ocnf_model.evaluation.run import Evaluation, evaluate, run_choose_weight, run_evaluate
+from ocnf_model.evaluation.summary import summarise
 
-SIDES = (32, 64)
+RESOLUTIONS = (32, 64)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def evaluation(tiny: str, network: OctNetFusion) -> Evaluation:
 
 def dense_figures(predicted: np.ndarray, true: np.ndarray, tau: float) -> tuple[float, ...]:
     """MAD in mm, IoU, precision, recall of two dense volumes."""
-    p, t = predicted <= 0, true <= 0
+    p, t = predicted < 0, true < 0
     both = (p & t).sum()
     clipped = [np.clip(volume.astype(np.float64), -1, 1) for volume in (predicted, true)]
     precision = both / p.sum() if p.any() else 1.0
@@ -51,7 +51,7 @@ def test_every_figure_equals_the_dense_one(evaluation: Evaluation, network: OctN
                                            members: Callable[[str, str], GridOctree]) -> None:
     @cache
     def histograms_of(key: str, variant: str) -> list[GridOctree]:
-        return [members(key, f"{variant}-histogram-{side}") for side in SIDES]
+        return [members(key, f"{variant}-histogram-{resolution}") for resolution in RESOLUTIONS]
 
     @cache
     def outputs_of(key: str, variant: str) -> list[OctreeBatch]:
@@ -60,7 +60,7 @@ def test_every_figure_equals_the_dense_one(evaluation: Evaluation, network: OctN
     met = set()
     for row in evaluation.rows:
         histograms = histograms_of(row.key, row.variant)
-        level = SIDES.index(row.resolution)
+        level = RESOLUTIONS.index(row.resolution)
         if row.method == "VolFus":
             predicted = members(row.key, f"{row.variant}-tsdf-{row.resolution}").to_dense()[0]
         elif row.method == "VolFus*":
@@ -156,7 +156,7 @@ def test_methods_that_the_data_cannot_feed(tiny: str, network: OctNetFusion) -> 
     with pytest.raises(OcnfError, match="no such split"):
         evaluate(network, tiny, split="train2")
     with pytest.raises(OcnfError, match="lacks the resolution of the network's first level"):
-        evaluate(network, tiny, sides=(128, 256))
+        evaluate(network, tiny, resolutions=(128, 256))
 
 
 def test_a_damaged_member_is_named(tiny: str, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from ocnf_data.errors import OcnfError
 from ocnf_model import OctNetFusion
-from ocnf_model.checkpoint import Architecture, DataFacts, Header, save_checkpoint
+from ocnf_model.checkpoint import Architecture, Header, TrainingData, save_checkpoint
 from ocnf_model.evaluation.run import run_evaluate
 from ocnf_model.scan.fuse import run_fuse
 
@@ -23,7 +23,7 @@ def make_run(folder: Path, truncation_voxels: float = 32 / 15) -> Path:
     network.levels[0].head.bias.data.fill_(0.5)
     architecture = Architecture(encoding="histogram", join="concat", carry="features", output="tsdf",
                                 channels=(2, 2, 2), band=1.0)
-    data = DataFacts(name="tiny", checksum="0" * 64, variant="v4", n_train=1, n_val=1, extent=3.0,
+    data = TrainingData(name="tiny", checksum="0" * 64, variant="v4", n_train=1, n_val=1, extent=3.0,
                      truncation_voxels=truncation_voxels)
     header = Header(level=1, resolution=32, architecture=architecture, data=data, epoch=1, steps=1,
                     metrics={"mad_mm": 1.0}, settings={}, built_on=None, torch="2")
@@ -33,8 +33,8 @@ def make_run(folder: Path, truncation_voxels: float = 32 / 15) -> Path:
 
 def test_a_run_is_evaluated_at_its_own_resolutions(tiny: str, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
-    choices = [{"variant": variant, "resolution": side, "weight": 1.0}
-               for variant in ("v4", "v2") for side in (32, 64)]
+    choices = [{"variant": variant, "resolution": resolution, "weight": 1.0}
+               for variant in ("v4", "v2") for resolution in (32, 64)]
     (run / "tvl1.json").write_text(json.dumps({"schema": 1, "choices": choices}))
     found = run_evaluate(str(run), tiny, limit=1, n_figures=0, device="cpu", console=Console(quiet=True))
     assert {(row.method, row.resolution) for row in found.rows if row.variant == "v4"} == {

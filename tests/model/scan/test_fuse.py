@@ -30,7 +30,7 @@ BOX = (*(CENTRE - 0.23), *(CENTRE + 0.23))
 def test_a_sphere_comes_back_within_a_voxel(scan: Path, tmp_path: Path, method: str,
                                             box: tuple[float, ...] | None) -> None:
     mesh = run_fuse("unused", str(scan), out=tmp_path / "mesh.ply", box=box, method=method, resolution=64)
-    voxel = mesh.region.side / 64
+    voxel = mesh.region.size / 64
     written = trimesh.load(tmp_path / "mesh.ply")
     np.testing.assert_allclose(written.vertices, mesh.vertices)
     off = np.abs(np.linalg.norm(mesh.vertices - CENTRE, axis=1) - RADIUS)
@@ -53,7 +53,7 @@ def test_moving_and_scaling_the_scan_moves_and_scales_the_mesh(scan: Path) -> No
     region = Region.of_box(BOX)
     whole = Baseline(32)
     before = whole(DepthPyramid(views), region)
-    scale, shift = 3.0 / region.side, -np.array(region.centre)
+    scale, shift = 3.0 / region.size, -np.array(region.centre)
     T = scale * (views.T - np.einsum("vij,j->vi", views.R, shift))
     moved = Views(views.depth * np.float32(scale), views.K, views.R, T)
     after = whole(DepthPyramid(moved), Region.of_cube((0.0, 0.0, 0.0), 3.0))
@@ -64,8 +64,8 @@ def test_moving_and_scaling_the_scan_moves_and_scales_the_mesh(scan: Path) -> No
 def test_the_network_gets_the_histograms_of_the_region(scan: Path, network: OctNetFusion) -> None:
     views, region = read_scan(scan).views, Region.of_box(BOX)
     octree = Learned(network, (32, 64))(DepthPyramid(views), region)
-    inputs = [OctreeBatch.from_grids([fuse_histogram(views, side, region.side, origin=region.centre)])
-              for side in (32, 64)]
+    inputs = [OctreeBatch.from_grids([fuse_histogram(views, resolution, region.size, centre=region.centre)])
+              for resolution in (32, 64)]
     expected = network(inputs)[1].to_dense().clamp(-1, 1)[0]
     np.testing.assert_allclose(octree.to_dense(), expected.detach().numpy(), atol=1e-5)
 
@@ -77,7 +77,7 @@ def test_what_was_not_seen_is_cut_off_unless_it_is_asked_for(scan: Path) -> None
     closed = fuse_scan(half, Baseline(32), region=region, keep_unseen=True)
     assert len(closed.faces) > 1.5 * len(seen.faces)
     off = np.abs(np.linalg.norm(seen.vertices - CENTRE, axis=1) - RADIUS)
-    assert off.max() < 2.2 * region.side / 32 < np.abs(
+    assert off.max() < 2.2 * region.size / 32 < np.abs(
         np.linalg.norm(closed.vertices - CENTRE, axis=1) - RADIUS).max()
 
 

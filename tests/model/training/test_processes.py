@@ -13,7 +13,7 @@ import torch
 
 from ocnf_model.checkpoint import load_run
 from ocnf_model.training.run import train
-from ocnf_model.training.state import load_place
+from ocnf_model.training.train_state import load_state
 
 ENVIRONMENT = {**{name: value for name, value in os.environ.items() if name not in ("RANK", "WORLD_SIZE")},
                "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
@@ -47,18 +47,18 @@ def test_a_run_killed_in_the_middle_of_epochs_ends_with_the_same_weights(tiny, s
     file, out = tmp_path / "settings.json", tmp_path / "killed"
     file.write_text(json.dumps(settings.to_dict()))
     # Five batches an epoch, a step and a state after the second, the fourth and the fifth.
-    for workers, last, place_then in ((1, 9, (0, 1, 2)), (0, 8, (1, 0, 4)), (1, 0, (2, 0, 0))):
+    for workers, last, place_then in ((1, 9, (0, 1, 2)), (0, 8, (1, 0, 4)), (1, 0, (1, 2, 0))):
         process = subprocess.run(
             [sys.executable, "-c", TRAINS_UNTIL_KILLED, str(last), "train", tiny, "--out", str(out),
              "--settings", str(file), "--workers", str(workers), "--device", "cpu"],
             env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=120, check=False)
         assert process.returncode == (-signal.SIGKILL if last else 0), process.stderr
-        place = load_place(out)[0]
+        place = load_state(out)[0]
         assert (place.level, place.epoch, place.step) == place_then
     for level in (1, 2):
         name = f"level-{level}.safetensors"
         assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    rows = [[(row.train_loss, row.val_mad, row.val_iou, row.steps) for row in load_place(folder)[0].rows]
+    rows = [[(row.train_loss, row.val_mad, row.val_iou, row.steps) for row in load_state(folder)[0].rows]
             for folder in (out, tmp_path / "whole")]
     assert rows[0] == rows[1]
     assert not list(out.glob(".tmp-*")) and not (out / ".lock").exists()
@@ -77,7 +77,7 @@ def test_two_ranks_have_the_losses_of_one_with_twice_the_batch(tiny, small, tmp_
          str(file), "--device", "cpu"],
         env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=120, check=False)
     assert process.returncode == 0, process.stderr
-    one, two = (load_place(folder)[0].rows for folder in (tmp_path / "one", out))
+    one, two = (load_state(folder)[0].rows for folder in (tmp_path / "one", out))
     assert [row.steps for row in one] == [row.steps for row in two] == [2, 4, 2, 4]
     for name in ("train_loss", "val_mad", "val_iou"):
         assert [getattr(row, name) for row in two] == pytest.approx([getattr(row, name) for row in one], 1e-3)

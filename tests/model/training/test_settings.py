@@ -8,7 +8,7 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.training.options import merge_options
-from ocnf_model.training.settings import Stage, TrainSettings, difference, read_settings
+from ocnf_model.training.settings import Stage, TrainSettings, read_settings, setting_difference
 
 
 def test_the_defaults_are_the_papers_schedule() -> None:
@@ -70,9 +70,10 @@ def test_a_list_that_is_none_is_named() -> None:
 
 def test_difference_names_the_field() -> None:
     ours = TrainSettings()
-    assert difference(ours, TrainSettings(workers=7, checkpointing=True, save_every=3)) is None
-    assert difference(ours, TrainSettings(seed=1)) == ("seed", 0, 1)
+    assert setting_difference(ours, TrainSettings(workers=7, checkpointing=True, save_every=3)) is None
+    assert setting_difference(ours, TrainSettings(seed=1)) == ("seed", 0, 1)
     stages = [stage.model_dump() for stage in ours.stages]
     stages[1]["learning_rate"] = 0.5
-    assert difference(ours, read_settings({"stages": stages}, "x")) == ("stages[1].learning_rate", 1e-4, 0.5)
-    assert difference(ours, read_settings({"stages": stages[:1]}, "x"))[0] == "stages"
+    found = setting_difference(ours, read_settings({"stages": stages}, "x"))
+    assert found == ("stages[1].learning_rate", 1e-4, 0.5)
+    assert setting_difference(ours, read_settings({"stages": stages[:1]}, "x"))[0] == "stages"

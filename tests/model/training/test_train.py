@@ -20,7 +20,7 @@ from ocnf_model.metrics import mad_mm
 from ocnf_model.network import OctNetFusion
 from ocnf_model.training.batches import to_octree_batch
 from ocnf_model.training.run import train
-from ocnf_model.training.state import load_place
+from ocnf_model.training.train_state import load_state
 
 
 def stage(**changes) -> dict:
@@ -35,7 +35,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 def finished(tiny, small, tmp_path_factory) -> Path:
     """A run of two levels with two epochs each."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    train(tiny, folder, small(stages=[stage(epochs=2)]), device="cpu")
+    train(tiny, folder, small(stages=[stage(epochs=2)], best_by="mad"), device="cpu")
     return folder
 
 
@@ -43,7 +43,7 @@ def test_the_loss_falls_on_a_few_samples(tiny, small, out) -> None:
     settings = small(levels=1, channels=[6, 6, 6], train_split="val", categories=["chair"],
                      stages=[stage(epochs=60, batch_size=1, accumulate=1, learning_rate=1e-2)])
     train(tiny, out, settings, device="cpu")
-    rows = load_place(out)[0].rows
+    rows = load_state(out)[0].rows
     assert rows[-1].train_loss < 0.4 * rows[0].train_loss
     assert min(row.val_mad for row in rows) < 0.5 * rows[0].val_mad
 
@@ -91,7 +91,7 @@ def test_the_validation_mad_is_that_of_the_shipped_metric(finished, tiny) -> Non
 
 def test_a_finished_run_stays_as_it_is(finished, tiny, small) -> None:
     before = snapshot(finished)
-    network = train(tiny, finished, small(stages=[stage(epochs=2)], workers=1), device="cpu")
+    network = train(tiny, finished, small(stages=[stage(epochs=2)], best_by="mad", workers=1), device="cpu")
     after = snapshot(finished)
     assert {**after, "curves.csv": b""} == {**before, "curves.csv": b""}
     loaded = load_run(finished).state_dict()
@@ -108,7 +108,7 @@ def test_a_later_level_begins_where_the_one_before_was_best(finished, tiny, smal
 
     start = OctNetFusion.start_from_previous
     monkeypatch.setattr(OctNetFusion, "start_from_previous", record)
-    train(tiny, out, small(stages=[stage(epochs=2)]), device="cpu")
+    train(tiny, out, small(stages=[stage(epochs=2)], best_by="mad"), device="cpu")
     best = load_run(out).levels[0].state_dict()
     assert [name for name, tensor in begun.items() if not torch.equal(tensor, best.get(name, tensor[:0]))] \
         == ["first.0.weight"]
@@ -127,9 +127,10 @@ def test_occupancy_mixed_precision_and_checkpointing(tiny, small, out) -> None:
 def test_another_run_in_the_folder_is_refused(finished, tiny, small, tmp_path) -> None:
     before = snapshot(finished)
     for changes, field in (({"seed": 1}, "seed"), ({"levels": 1}, "levels"),
-                           ({"stages": [stage(epochs=3)]}, r"stages\[0\].epochs")):
+                           ({"stages": [stage(epochs=1)]}, r"stages\[0\].epochs")):
         with pytest.raises(OcnfError, match=f"{field}: the run was begun with other settings"):
-            train(tiny, finished, small(**{"stages": [stage(epochs=2)], **changes}), device="cpu")
+            other = small(**{"stages": [stage(epochs=2)], "best_by": "mad", **changes})
+            train(tiny, finished, other, device="cpu")
     assert snapshot(finished) == before
     for text, message in (("{", "not JSON"), ("{}", "not the settings"), ('{"schema": 1}', "not a mapping")):
         (tmp_path / "settings.json").write_text(text)
@@ -182,12 +183,12 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
         train(tiny, out, settings, device="cpu")
     expected = keys[1:] if where == "loss" else keys
     assert error.value.found == f"samples {', '.join(expected)}"
-    place, tensors = load_place(out)
+    place, tensors = load_state(out)
     assert (place.epoch, place.steps) == (2, 6) and open_run(out).headers[0].epoch <= 2
     assert all(tensor.isfinite().all() for tensor in tensors.values())
     monkeypatch.undo()
     train(tiny, out, settings, device="cpu")
-    assert len(load_place(out)[0].rows) == 3
+    assert len(load_state(out)[0].rows) == 3
 
 
 def _epoch(tiny, epoch):

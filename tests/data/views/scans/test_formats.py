@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans import FORMATS, Scan, read_scan
+from ocnf_data.views.scans import SCAN_FORMATS, Scan, read_scan
 
 ALL = ["7scenes", "tum", "open3d", "open3d-json", "transforms", "scannet", "voxlets"]
 Write = Callable[[str], Path]
@@ -59,11 +59,11 @@ def test_poses_the_wrong_way_round_are_noticed_with_both_figures(write: Write, n
     assert f"{100 * scan.agreement.share:.0f} %" in warning
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+@pytest.mark.parametrize("name", sorted(SCAN_FORMATS))
 def test_a_format_can_be_named_and_a_wrong_one_is_refused(write: Write, name: str) -> None:
     folder = write(name)
     assert read_scan(folder, format=name).format == name
-    for other in FORMATS:
+    for other in SCAN_FORMATS:
         if other != name:
             with pytest.raises(OcnfError):
                 read_scan(folder, format=other)

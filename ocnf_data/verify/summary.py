@@ -13,8 +13,8 @@ from rich.table import Column, Table
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.shards.dataset import DATASET, DatasetInfo, load_dataset
-from ocnf_data.shards.index import MAX_INDEX_BYTES, ShardIndex, index_path, is_shard
-from ocnf_data.shards.reader import load_index
+from ocnf_data.shards.index import ShardIndex, index_path, is_shard
+from ocnf_data.shards.index_files import load_indices, read_index
 from ocnf_data.shards.tarformat import JSON, parse_member
 
 
@@ -79,23 +79,20 @@ def describe(url: str | Store) -> DatasetSummary:
     info = load_dataset(store) if store.exists(DATASET) else None
     summary = DatasetSummary(store.url, info)
     if info is not None:
-        indices = (load_index(store, split, entry) for split, entry in info.shards())
+        indices = load_indices(store, info.shards())
     else:
         names = store.list()
-        paths = [index_path(*name.split("/")) for name in names if is_shard(name)]
-        indices = (_own_index(store, path) for path in paths if path in names)
-        if not paths:
+        shards = [(split, shard) for split, _, shard in
+                  (name.partition("/") for name in names if is_shard(name))]
+        there = set(names)
+        indices = (read_index(store, split, shard) for split, shard in shards
+                   if index_path(split, shard) in there)
+        if not shards:
             raise OcnfError("no data set here", code="missing", where=store.url,
                             expected=f"a folder with {DATASET} or shards in it")
     for index in indices:
         _add(summary, index)
     return summary
-
-
-def _own_index(store: Store, name: str) -> ShardIndex:
-    if store.size(name) > MAX_INDEX_BYTES:
-        raise OcnfError("the index is too large", code="too_large", where=store.where(name))
-    return ShardIndex.from_json(store.read_bytes(name), store.where(name))
 
 
 def _add(summary: DatasetSummary, index: ShardIndex) -> None:
@@ -115,7 +112,7 @@ def _add(summary: DatasetSummary, index: ShardIndex) -> None:
                 part.most = max(part.most, leaves)
 
 
-def print_info(summary: DatasetSummary, console: Console) -> None:
+def print_summary(summary: DatasetSummary, console: Console) -> None:
     """Show a summary: what it is, its splits, its members."""
     info = summary.info
     if info is None:

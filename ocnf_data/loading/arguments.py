@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from ocnf_data.errors import OcnfError
 
-Choice = TypeVar("Choice", bound=StrEnum)
+_Choice = TypeVar("_Choice", bound=StrEnum)
 _LARGEST = 2**53
 
 
@@ -17,10 +17,12 @@ class OnError(StrEnum):
     """What becomes of a damaged sample."""
 
     RAISE = "raise"
+    """The run stops, and names shard, key, member and offset."""
     SKIP = "skip"
+    """It is left out and listed; another sample takes its place."""
 
 
-def one_of(kind: type[Choice], field: str, value: object) -> Choice:
+def one_of(kind: type[_Choice], field: str, value: object) -> _Choice:
     """The member of an enumeration that has this value."""
     if isinstance(value, str) and value in list(kind):
         return kind(value)
@@ -34,7 +36,7 @@ def whole(field: str, value: object, least: int) -> int:
     return value
 
 
-def share(field: str, value: object) -> float:
+def fraction(field: str, value: object) -> float:
     """A number from 0 to 1."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
         raise bad_setting("not a share", field, value, "0 to 1")
@@ -52,11 +54,11 @@ def names(field: str, value: object) -> tuple[str, ...]:
     return texts
 
 
-def sides(value: object) -> tuple[int, ...]:
+def parse_resolutions(value: object) -> tuple[int, ...]:
     """The resolutions: one or more, each once, multiples of 8; a single one may stand alone."""
     listed = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-    checked = tuple(whole("resolutions", side, 8) for side in listed)
-    if not checked or len(set(checked)) != len(checked) or any(side % 8 for side in checked):
+    checked = tuple(whole("resolutions", resolution, 8) for resolution in listed)
+    if not checked or len(set(checked)) != len(checked) or any(resolution % 8 for resolution in checked):
         raise bad_setting("not resolutions", "resolutions", value, "one or more multiples of 8, each once")
     return checked
 

@@ -1,0 +1,101 @@
+"""The manifest's section on training data without end: what is drawn anew for every sample.
+
+    synthesis:
+      samples_per_epoch: 2000
+      rotate: {upright: 1, any: 1}      # a name, or names with weights
+      directions: {random: 3, rig: 1}
+      views: [1, 6]
+      sigma: [0.0, 0.03]
+
+`generate` does not look at it: a data set on disk has the views, noise and poses that `inputs` names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from ocnf_data.files.validation import Int, Real, Strict, refused
+from ocnf_data.views.noise import NoiseModel
+
+Name = TypeVar("Name", bound=StrEnum)
+
+
+class Rotate(StrEnum):
+    """How a mesh is turned before it is scaled into the cube."""
+
+    NONE = "none"
+    """As its file has it."""
+    UPRIGHT = "upright"
+    """About its vertical axis, by any angle."""
+    ANY = "any"
+    """By any rotation, all of them equally likely."""
+
+
+class Directions(StrEnum):
+    """Where the k cameras of an input stand."""
+
+    RIG = "rig"
+    """The rig's own subset of k views, as in the paper: for 4 of 80 views 0, 26, 52 and 79."""
+    RANDOM = "random"
+    """Any k views of the rig."""
+    SPHERE = "sphere"
+    """Anywhere on the sphere of the rig's cameras, evenly."""
+
+
+def _weights(value: Any) -> Any:
+    """One name stands for itself alone; all weights 0 would leave nothing to draw."""
+    if isinstance(value, str):
+        return {value: 1.0}
+    if isinstance(value, Mapping):
+        if not value:
+            raise refused("the list is empty", expected="at least one")
+        return {name: float(weight) if isinstance(weight, int) and not isinstance(weight, bool) else weight
+                for name, weight in value.items()}
+    raise refused("not a name, nor names with weights", expected="such as any, or {upright: 1, any: 2}")
+
+
+DrawWeight = Annotated[Real, Field(gt=0, le=1e6)]
+Weights = Annotated[dict[Name, DrawWeight], BeforeValidator(_weights)]
+
+
+def _range(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise refused("the range is the wrong way round", expected="the lower end first")
+    return value
+
+
+Range = AfterValidator(_range)
+
+
+class Synthesis(Strict):
+    """What `SynthesisDataset` draws for each sample from (seed, epoch, number) alone.
+
+    Procedural shapes are new ones in every epoch, without end; the source's counts do not limit them. Of
+    mesh files each of the split is as likely, as often as its source is drawn (see `mixture` sources).
+    """
+
+    samples_per_epoch: Annotated[Int, Field(ge=1, le=100_000_000)] = 1000
+    """How many samples make an epoch; all ranks share them."""
+    rotate: Weights[Rotate] = Field(default={Rotate.NONE: 1.0}, validate_default=False)
+    """The rotation of the mesh: a name, or names with weights."""
+    up: Literal["x", "y", "z"] = "z"
+    """The axis of mesh files that points up, for `upright`. That of procedural shapes is z."""
+    scale: Annotated[tuple[Annotated[Real, Field(gt=0, le=1)], Annotated[Real, Field(gt=0, le=1)]],
+                     Range] = (1.0, 1.0)
+    """Range of the factor by which a mesh is made smaller than the normalised one."""
+    directions: Weights[Directions] = Field(default={Directions.RIG: 1.0}, validate_default=False)
+    """The cameras of the inputs: a name, or names with weights."""
+    views: Annotated[tuple[Annotated[Int, Field(ge=1)], Annotated[Int, Field(ge=1)]], Range] = (1, 6)
+    """Least and largest number of input views, each number as likely."""
+    sigma: Annotated[tuple[Annotated[Real, Field(ge=0, le=1)], Annotated[Real, Field(ge=0, le=1)]],
+                     Range] = (0.0, 0.03)
+    """Range of the standard deviation of the depth noise, as a fraction of the depth."""
+    noise: Weights[NoiseModel] = Field(default={NoiseModel.GAUSSIAN: 1.0}, validate_default=False)
+    """The noise model: a name, or names with weights."""
+    repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
+    """For so many epochs sample i keeps its mesh, rotation and scale, while its views, noise and symmetry are
+    drawn anew. Its ground truth, most of the work, is then made once and kept in a cache."""

@@ -1,0 +1,72 @@
+"""From a body and a look to octrees, by generation's own functions, rounded as shards store them.
+
+So a sample with the rotation, views and noise of a generated one is equal to it bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ocnf_data.arrays import F64
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.fusion import DepthPyramid
+from ocnf_data.generation.sample import fuse_input, fuse_truth, read_item, render_item
+from ocnf_data.manifest import Manifest
+from ocnf_data.meshes import Mesh, normalise
+from ocnf_data.octree.stored import TARGET, RawOctree, quantise
+from ocnf_data.synthesis.draw import Body, Look
+from ocnf_data.views.noise import observe_depth
+
+Truths = dict[int, RawOctree]
+"""By resolution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A body's mesh with its vertices (N, 3) where the cameras look: metres in the grid's cube."""
+
+    mesh: Mesh
+    vertices: F64
+
+
+def pose(manifest: Manifest, body: Body, meshes: str | os.PathLike[str] | None) -> Posed:
+    """Read or make the mesh, turn it, and scale it into the cube.
+
+    Raises:
+        OcnfError: the mesh cannot be used, with the code of `read_mesh`; `changed` where it is another file
+            than the one whose checksum was taken.
+    """
+    mesh = read_item(manifest, body.item, meshes)
+    if body.rotation is not None:
+        mesh = replace(mesh, vertices=mesh.vertices @ body.rotation.T)
+    vertices, _ = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
+    return Posed(mesh, vertices if body.scale == 1 else vertices * body.scale)
+
+
+def make_truths(manifest: Manifest, posed: Posed, resolutions: tuple[int, ...]) -> Truths:
+    """The ground truth, fused from all views of the rig.
+
+    Raises:
+        OcnfError: `invisible` where no view sees any of the mesh.
+    """
+    views = render_item(manifest, posed.vertices, posed.mesh)
+    if not np.isfinite(views.depth).any():
+        raise OcnfError("no camera sees any of the mesh", code="invisible")
+    pyramid = DepthPyramid(views)
+    return {resolution: quantise(fuse_truth(manifest, pyramid, resolution), TARGET)
+            for resolution in resolutions}
+
+
+def make_inputs(manifest: Manifest, posed: Posed, look: Look, encoding: Encoding,
+                resolutions: tuple[int, ...]) -> Truths:
+    """The input, fused from the noisy views of the look."""
+    views = render_item(manifest, posed.vertices, posed.mesh, look.directions)
+    depth = np.stack([observe_depth(look.noise, image, look.sigma, look.seed, look.key, view)
+                      for image, view in zip(views.depth, look.views, strict=True)])
+    pyramid = DepthPyramid(views.with_depth(depth))
+    return {resolution: quantise(fuse_input(manifest, pyramid, encoding, resolution), encoding)
+            for resolution in resolutions}

@@ -1,0 +1,248 @@
+"""What a run trains on and is validated with: a data set on disk, or a manifest that samples are drawn from.
+
+A manifest's validation samples are those of its split `val`. They are made once, as a data set in
+RUN/validation, so that every epoch is measured with the same ones; `--val` names another data set for it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rich.console import Console
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.storage import Store
+from ocnf_data.loading.catalogue import check_meaning
+from ocnf_data.loading.dataset import ShardDataset
+from ocnf_data.loading.epochs import EpochDataset
+from ocnf_data.loading.mixture import MixtureDataset
+from ocnf_data.shards import load_dataset
+from ocnf_model.training.settings import MixturePart, TrainSettings
+
+if TYPE_CHECKING:
+    from ocnf_data.synthesis.sources import Sources
+
+VALIDATION = "validation"
+"""Folder in a run of what a manifest's validation samples were made into."""
+CACHE = "cache"
+"""Folder in a run of the ground truths that epochs share."""
+_MANIFESTS = frozenset({".yaml", ".yml", ".json"})
+_MOST_JOBS = 8
+
+
+class DataSource(Protocol):
+    """What `train` needs of its data; levels count from 0, resolutions come coarse to fine."""
+
+    where: str
+    """For messages."""
+    manifest: dict[str, Any]
+    """Resolved: what values mean."""
+
+    def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
+        """Make what has to be on disk, in the folder of the run; a second call finds it there."""
+
+    def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """The samples to train a level on."""
+
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
+        """The samples to validate a level with."""
+
+
+class StoredData:
+    """A data set that `generate` made, with both splits.
+
+    Args:
+        url: its folder or fsspec URL.
+        val: a data set to validate with in its place.
+    """
+
+    def __init__(self, url: str, val: str | None = None) -> None:
+        self.where, self.manifest = url, dict(load_dataset(url).manifest)
+        self._val = checked_validation(val, self.manifest, url)
+
+    def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
+        """Everything is there."""
+
+    def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """The training split, all of it in every epoch or as many samples as the settings say."""
+        dataset = ShardDataset(
+            self.where, settings.train_split, settings.up_to(level, self.manifest), settings.encoding,
+            variant=settings.variant, categories=settings.categories, seed=settings.seed,
+            on_error=settings.on_error, batch_size=settings.stage(level).batch_size,
+            augment=settings.augment, buffer=settings.shuffle_buffer)
+        return dataset if settings.samples_per_epoch is None else _mix([(dataset, 1.0)], settings, level)
+
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
+        """The validation split."""
+        return open_validation(self._val or self.where, settings, level, self.manifest)
+
+
+class DrawnData:
+    """A manifest, whose training samples are drawn without end.
+
+    Args:
+        path: of the YAML.
+        meshes: the folder that its mesh paths are relative to.
+        val: a data set to validate with; None makes one of the manifest's split.
+        train_split: that is drawn from.
+        categories: only these.
+    """
+
+    def __init__(self, path: str, meshes: Path | None, val: str | None, train_split: str,
+                 categories: tuple[str, ...] | None) -> None:
+        from ocnf_data.manifest import load_manifest
+        from ocnf_data.synthesis.sources import open_sources
+
+        given = load_manifest(path)
+        self.where = path
+        self._root = given.meshes_root(meshes)
+        self._sources: Sources = open_sources(given, self._root, train_split, categories)
+        self.manifest = self._sources.manifest.to_dict()
+        self._val = checked_validation(val, self.manifest, path)
+
+    def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
+        """Make the validation set, if it is not there yet."""
+        if self._val is not None:
+            return
+        from ocnf_data.generation import generate
+
+        # What is drawn for training is no part of it: a run with other draws is measured with the same one.
+        manifest = self._sources.manifest.model_copy(update={"synthesis": None})
+        if not any(entry.split == settings.val_split
+                   for entry in manifest.source.entries(self._root, manifest.seed)):
+            raise OcnfError("the manifest has no samples to validate with", code="empty", where=self.where,
+                            field=f"source, split {settings.val_split}",
+                            fix="give the split some, or name a data set with --val")
+        if not Store(folder / VALIDATION).exists("dataset.json"):
+            console.print(f"making the validation set in {folder / VALIDATION}", highlight=False)
+        generate(manifest, folder / VALIDATION, self._root, jobs=min(os.cpu_count() or 1, _MOST_JOBS),
+                 splits=(settings.val_split,), progress=console.is_terminal)
+
+    def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """Samples drawn from the manifest."""
+        from ocnf_data.synthesis.dataset import SynthesisDataset
+
+        return SynthesisDataset(
+            self._sources, settings.up_to(level, self.manifest), settings.encoding,
+            split=settings.train_split, categories=settings.categories, seed=settings.seed,
+            batch_size=settings.stage(level).batch_size, augment=settings.augment, cache=folder / CACHE,
+            samples_per_epoch=settings.samples_per_epoch)
+
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
+        """The validation set, in the one variant that the settings name or the manifest names first."""
+        if self._val is None:
+            settings = with_variant(settings, self.manifest, self.where)
+        return open_validation(self._val or str(folder / VALIDATION), settings, level, self.manifest)
+
+
+class MixedData:
+    """Several data sets and manifests, drawn from by weight.
+
+    Args:
+        base: what is validated with, and whose manifest says what values mean.
+        parts: each with its weight and the variant of its inputs.
+    """
+
+    def __init__(self, base: DataSource, parts: Sequence[tuple[DataSource, MixturePart]]) -> None:
+        self._base, self._parts = base, parts
+        self.where, self.manifest = base.where, base.manifest
+
+    def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
+        """What is validated with."""
+        self._base.prepare(folder, settings, console)
+
+    def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """Samples of all parts."""
+        from ocnf_data.synthesis.dataset import SynthesisDataset
+
+        mixed = []
+        for source, part in self._parts:
+            own = settings.model_copy(update={"variant": part.variant, "samples_per_epoch": None})
+            dataset = source.training(folder, own, level)
+            assert isinstance(dataset, ShardDataset | SynthesisDataset)
+            mixed.append((dataset, part.weight))
+        return _mix(mixed, settings, level)
+
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
+        """The base's, in the variant that the settings name or its manifest names first."""
+        return self._base.validation(folder, with_variant(settings, self.manifest, self.where), level)
+
+
+def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
+              val: str | None = None) -> DataSource:
+    """A manifest's or a data set's samples, by the name's ending, or those of the settings' mixture.
+
+    Args:
+        data: path of a manifest (.yaml, .yml, .json), else folder or URL of a data set.
+        settings: of the run.
+        meshes: the folder that a manifest's mesh paths are relative to.
+        val: a data set to validate with.
+    """
+    if settings.mixture is not None:
+        if settings.samples_per_epoch is None:
+            raise OcnfError("a mixture has no end, so the settings have to say how long an epoch is",
+                            where="the settings", field="samples_per_epoch", expected="a number of samples")
+        alone = settings.model_copy(update={"mixture": None, "samples_per_epoch": None})
+        base = open_data(data, alone, meshes if is_manifest(data) else None, val)
+        parts = [(base if part.data is None else _open_part(part, alone, meshes), part)
+                 for part in settings.mixture]
+        return MixedData(base, parts)
+    if is_manifest(data):
+        return DrawnData(data, meshes, val, settings.train_split, settings.categories)
+    if meshes is not None:
+        raise OcnfError("a data set on disk needs no meshes", where="the command line", field="--meshes",
+                        found=meshes, fix="name a manifest (.yaml) to draw from, or leave --meshes out")
+    return StoredData(data, val)
+
+
+def is_manifest(data: str) -> bool:
+    """Whether it is the path of a manifest, not a data set."""
+    return Path(data).suffix.lower() in _MANIFESTS
+
+
+def _open_part(part: MixturePart, settings: TrainSettings, meshes: Path | None) -> DataSource:
+    assert part.data is not None
+    root = meshes if part.meshes is None else Path(part.meshes)
+    return open_data(part.data, settings, root if is_manifest(part.data) else None)
+
+
+def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int) -> EpochDataset:
+    assert settings.samples_per_epoch is not None
+    return MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
+                          batch_size=settings.stage(level).batch_size, on_error=settings.on_error,
+                          augment=settings.augment)
+
+
+def with_variant(settings: TrainSettings, manifest: Mapping[str, Any], where: str) -> TrainSettings:
+    """The settings; where they name no variant, with the first of the manifest's that has the encoding.
+
+    Raises:
+        OcnfError: none has.
+    """
+    if settings.variant is not None:
+        return settings
+    for entry in manifest["inputs"]:
+        if settings.encoding in map(Encoding, entry["encodings"]):
+            return settings.model_copy(update={"variant": entry["name"]})
+    raise OcnfError("no input has the encoding to validate with", code="missing", where=where, field="inputs",
+                    expected=str(settings.encoding))
+
+
+def open_validation(url: str, settings: TrainSettings, level: int, manifest: dict[str, Any]) -> ShardDataset:
+    """Each validation sample of a data set exactly once."""
+    return ShardDataset(
+        url, settings.val_split, settings.up_to(level, manifest), settings.encoding,
+        variant=settings.variant, categories=settings.categories, seed=settings.seed,
+        on_error=settings.on_error, shuffle=False, uneven="exact")
+
+
+def checked_validation(val: str | None, manifest: dict[str, Any], where: str) -> str | None:
+    """The data set to validate with, if its values mean what those to train on do."""
+    if val is None:
+        return None
+    check_meaning(val, load_dataset(val).manifest, where, manifest)
+    return val

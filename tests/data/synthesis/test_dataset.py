@@ -1,0 +1,100 @@
+"""`SynthesisDataset`: samples equal to generated ones, a pure function of (seed, epoch, number)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from ocnf_data import SynthesisDataset
+from ocnf_data.encodings import Encoding
+from ocnf_data.generation.plan import make_plan
+from ocnf_data.generation.sample import make_sample
+from ocnf_data.octree.codec import decode_raw
+from ocnf_data.shards.tarformat import input_member, target_member
+from ocnf_data.synthesis.draw import Body, rig_look
+from ocnf_data.synthesis.sample import make_inputs, make_truths, pose
+from ocnf_data.views.noise import NoiseModel
+
+
+def open_set(manifest: Any, **arguments: Any) -> SynthesisDataset:
+    return SynthesisDataset(manifest, **{"resolutions": [16, 32], "encoding": "histogram", "batch_size": 3,
+                                         "rank": 0, "world_size": 1, **arguments})
+
+
+def contents(batch: Any) -> tuple[Any, ...]:
+    return (batch.epoch, batch.step, batch.keys, batch.repeat, batch.slots, batch.meta,
+            batch.arena.numpy().tobytes())
+
+
+def test_with_a_generated_sample_s_pose_views_and_noise_it_is_that_sample_bit_for_bit(small):
+    manifest = small()
+    for item in make_plan(manifest, None).items[:4]:
+        generated = make_sample(manifest, item).members
+        variant = manifest.inputs[0]
+        look = rig_look(manifest, manifest.view_indices(variant), variant.sigma, NoiseModel.GAUSSIAN,
+                        manifest.seed, item.key)
+        posed = pose(manifest, Body(item), None)
+        pairs = [(target_member(resolution), octree)
+                 for resolution, octree in make_truths(manifest, posed, manifest.resolutions).items()]
+        for encoding in Encoding:
+            made = make_inputs(manifest, posed, look, encoding, manifest.resolutions)
+            pairs += [(input_member(variant.name, encoding, resolution), octree)
+                      for resolution, octree in made.items()]
+        assert {name for name, _ in pairs} == set(generated) - {"json"}
+        for name, octree in pairs:
+            stored = decode_raw(generated[name])
+            np.testing.assert_array_equal(octree.trees, stored.trees)
+            np.testing.assert_array_equal(octree.data, stored.data)
+            assert octree.data.dtype == stored.data.dtype
+
+
+def test_a_sample_depends_on_seed_epoch_and_number_alone(small):
+    manifest = small({"rotate": "any", "directions": {"rig": 1, "random": 1, "sphere": 1}})
+    one = [contents(batch) for batch in open_set(manifest)]
+    again = open_set(manifest)
+    assert [contents(batch) for batch in again] == one
+    assert [contents(batch)[2:] for batch in again] != [c[2:] for c in one]  # epoch 1
+    assert [contents(batch)[2:] for batch in open_set(manifest, seed=1)] != [c[2:] for c in one]
+    # whatever the batches and ranks are, sample i is the same one
+    single = {batch.keys[0]: batch for batch in open_set(manifest, batch_size=1)}
+    assert len(single) == 10
+    for rank in range(2):
+        for batch in open_set(manifest, batch_size=2, rank=rank, world_size=2):
+            for key, octrees, truth in zip(batch.keys, batch.inputs[32].grids(), batch.targets[32].grids(),
+                                           strict=True):
+                np.testing.assert_array_equal(octrees.data, single[key].inputs[32].grids()[0].data)
+                np.testing.assert_array_equal(truth.trees, single[key].targets[32].grids()[0].trees)
+
+
+def test_every_sample_of_an_epoch_is_met_once_and_the_tail_is_marked(small):
+    batches = list(open_set(small(), batch_size=4))
+    numbers = [key.rsplit("-", 1)[1] for batch in batches for key in batch.keys]
+    assert numbers == [str(i % 10) for i in range(12)]
+    assert [again for batch in batches for again in batch.repeat] == [False] * 10 + [True] * 2
+    assert len(list(open_set(small(), batch_size=4, drop_last=True))) == 2
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_change_nothing_and_a_state_resumes_with_another_number_of_them(small, workers):
+    manifest = small({"rotate": "upright"})
+    whole = open_set(manifest)
+    wanted = [contents(batch) for _ in range(2) for batch in whole]
+    dataset = open_set(manifest)
+    loader = DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=True)
+    met = []
+    for batch in loader:
+        met.append(contents(batch))
+        if batch.step == 1:
+            state = dataset.state_dict(batch)
+            break
+    resumed = open_set(manifest)
+    resumed.load_state_dict(state)
+    other = DataLoader(resumed, batch_size=None, num_workers=3 - workers)
+    met += [contents(batch) for batch in other]
+    met += [contents(batch) for batch in other]
+    assert met == wanted
+    assert torch.utils.data.get_worker_info() is None
