@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numba
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
@@ -258,4 +259,9 @@ def _is_finite(value: float) -> bool:
 def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
-                      pin_memory=job.world.device.type == "cuda")
+                      pin_memory=job.world.device.type == "cuda", worker_init_fn=use_one_thread)
+
+
+def use_one_thread(_: int) -> None:
+    """In a loader's worker: the cores are for the training process. (PyTorch does the same for its own.)"""
+    numba.set_num_threads(1)
