@@ -6,7 +6,6 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-import signal
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ocnf_data.terminal import print_error, run_app
+from ocnf_data.terminal import print_error, run_app, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +64,7 @@ def _options(debug: Annotated[bool, typer.Option(
 
 
 @app.command("generate")
+@stoppable(_err, "what is finished is kept, and the same command goes on")
 def generate_command(
     manifest: Annotated[Path, typer.Argument(
         metavar="MANIFEST", help="The manifest: a YAML file that defines the data set.")],
@@ -87,14 +87,9 @@ def generate_command(
     the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
     when more of them failed than the manifest's limits.failure_threshold.
     """
-    from ocnf_data.generation import Interrupted, generate
+    from ocnf_data.generation import generate
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems' way to say Ctrl-C
-    try:
-        report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
-    except Interrupted as stop:
-        _err.print(f"[yellow]{stop}[/]", highlight=False)
-        raise typer.Exit(130) from None
+    report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     _out.print(report.table())
     if report.failures or report.exclusions:
         _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False)
@@ -105,6 +100,7 @@ def generate_command(
 
 
 @app.command("verify")
+@stoppable(_err, "nothing was changed, and the same command begins anew")
 def verify_command(folder: Folder, jobs: Jobs) -> None:
     """Check every byte, count and octree of a data set.
 
@@ -119,6 +115,7 @@ def verify_command(folder: Folder, jobs: Jobs) -> None:
 
 
 @app.command("info")
+@stoppable(_err, "nothing was changed")
 def dataset_info_command(folder: Folder) -> None:
     """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
     from ocnf_data.verify.summary import describe, print_summary
@@ -127,6 +124,7 @@ def dataset_info_command(folder: Folder) -> None:
 
 
 @app.command("repair")
+@stoppable(_err, "what was set aside is in {folder}/quarantine, and the same command goes on")
 def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
@@ -138,12 +136,13 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import find_damaged, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.repair import damaged_shards, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.verify import verify
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
-        damaged = find_damaged(folder, jobs, progress)
-    if not damaged:
+        report = verify(folder, jobs, progress)
+    if not (damaged := damaged_shards(report)):
         _out.print("[green]no shard is damaged[/]")
     lost = []
     for shard in damaged:
@@ -152,19 +151,26 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
             _out.print("  the tar is whole, its index was written again", highlight=False)
         else:
             lost.append(shard)
-    if not lost:
+    if lost:
+        # Whatever stands in the way of making them again is said before anything is set aside.
+        adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
+        for shard in lost:
+            for name in quarantine(folder, shard.path):
+                _out.print(f"set aside as {name}", highlight=False)
+        _out.print(generate(manifest, folder, meshes, jobs).table())
+    else:
         for name in restore_catalogues(folder):
             _out.print(f"{name} was written anew from the indices", highlight=False)
-        return
-    # Whatever stands in the way of making them again is said before anything is set aside.
-    adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
-    for shard in lost:
-        for name in quarantine(folder, shard.path):
-            _out.print(f"set aside as {name}", highlight=False)
-    _out.print(generate(manifest, folder, meshes, jobs).table())
+    if not report.ok:
+        with _Bar("verifying") as progress:
+            left = verify(folder, jobs, progress).problems
+        for problem in left:
+            print_error(f"cannot be repaired: {problem}", _err)
+        raise typer.Exit(1 if left else 0)
 
 
 @app.command("doctor")
+@stoppable(_err, "nothing was changed")
 def doctor_command() -> None:
     """Check what works on this machine, try each renderer on a known shape, and say how to fix the rest."""
     from ocnf_data.doctor import run_doctor
@@ -173,6 +179,7 @@ def doctor_command() -> None:
 
 
 @app.command("watertight")
+@stoppable(_err, "every mesh that is written is whole, and the same command makes all of them anew")
 def watertight_command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ocnf_data.terminal import run_app
+from ocnf_data.terminal import run_app, stoppable
 from ocnf_model.evaluation.methods import Method
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -40,6 +40,7 @@ def _options(debug: Annotated[bool, typer.Option(
 
 
 @app.command("train")
+@stoppable(_err, "the same command goes on in {out}")
 def train_command(
     data: Training,
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
@@ -110,17 +111,13 @@ def train_command(
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)
-    try:
-        train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
-    except KeyboardInterrupt:
-        _err.print(f"[yellow]stopped; the same command resumes the run in {escape(str(out))}[/]",
-                   highlight=False)
-        raise typer.Exit(130) from None
+    train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
     if os.environ.get("RANK", "0") == "0":
         _out.print(f"trained: {escape(str(out))}", highlight=False)
 
 
 @app.command("info")
+@stoppable(_err, "nothing was changed")
 def run_info_command(run: Run) -> None:
     """Show a network's layers, shapes and parameters, and how it was trained."""
     from ocnf_model.info import print_run
@@ -129,6 +126,7 @@ def run_info_command(run: Run) -> None:
 
 
 @app.command("evaluate")
+@stoppable(_err, "tables are written at the end only, and the same command begins anew")
 def evaluate_command(
     run: Run,
     data: Data,
@@ -162,6 +160,7 @@ def evaluate_command(
 
 
 @app.command("choose-weight")
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
 def choose_weight_command(
     data: Data,
     out: Annotated[Path, typer.Option(
@@ -187,6 +186,7 @@ def choose_weight_command(
 
 
 @app.command("fuse")
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
 def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(

@@ -56,7 +56,7 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.meshes ocnf_data.octree "
         "ocnf_data.shapes ocnf_data.shards ocnf_data.views",
-    "ocnf_data.terminal": "ocnf_data.errors",
+    "ocnf_data.terminal": "ocnf_data.errors ocnf_data.files",
     "ocnf_data.verify": "ocnf_data.errors ocnf_data.files ocnf_data.octree ocnf_data.shards",
     "ocnf_data.version": "",
     "ocnf_data.views": "ocnf_data.arrays ocnf_data.errors ocnf_data.files",
@@ -92,8 +92,9 @@ ARROWS = {
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
         "ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards "
-        "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses ocnf_model.measures "
-        "ocnf_model.metrics ocnf_model.network ocnf_model.octree ocnf_model.tensorfile",
+        "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses "
+        "ocnf_model.measures ocnf_model.metrics ocnf_model.network ocnf_model.octree "
+        "ocnf_model.tensorfile",
 }
 
 # From the ground up: a room imports its own floor and those below it. Rooms not named are on `THE_REST`.
@@ -124,8 +125,10 @@ BORROWED = """
     ocnf_data.generation.remake
     ocnf_data.loading.arguments
     ocnf_data.loading.augment
+    ocnf_data.loading.catalogue
     ocnf_data.loading.dataset
     ocnf_data.loading.epochs
+    ocnf_data.loading.mixture
     ocnf_data.manifest
     ocnf_data.meshes.writing
     ocnf_data.octree

@@ -15,7 +15,7 @@ import numpy as np
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
 from ocnf_data.generation.fingerprint import view_fingerprint
@@ -115,6 +115,9 @@ def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | N
         return make_shape(item.category, manifest.seed, item.index, item.split)
     if meshes is None:
         raise OcnfError("the folder of the meshes is not given", code="missing", where=item.source)
+    if item.source != printable(item.source):
+        raise OcnfError("the name is not UTF-8, so no sample can carry it", code="unreadable",
+                        where=item.source, fix="rename the file, and generate into another folder")
     try:
         mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
     except OcnfError as error:

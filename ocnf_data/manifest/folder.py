@@ -14,8 +14,9 @@ from pydantic import Field, model_validator
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, refused
-from ocnf_data.manifest.entries import SPLITS, Entry, given
+from ocnf_data.manifest.entries import HIDDEN, SPLITS, Entry, given
 from ocnf_data.meshes.formats import FORMATS
+from ocnf_data.meshes.listing import is_hidden
 
 
 class SplitShares(Strict):
@@ -36,7 +37,8 @@ class SplitShares(Strict):
 class FolderSource(Strict):
     """Every mesh below a folder. A mesh's category is the first folder of its path, `mesh` at the top.
 
-    Chance decides on its split, drawn from (seed, path) alone: adding files moves no other file.
+    Chance decides on its split, drawn from (seed, path) alone: adding files moves no other file. A link to a
+    file counts as that file, wherever it lies; links to folders, and hidden folders, are not entered.
     """
 
     kind: Literal["folder"]
@@ -48,15 +50,21 @@ class FolderSource(Strict):
     """Take only so many meshes, drawn from (seed, path); None takes all."""
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """By split and path."""
+        """By split and path; then the hidden files."""
         base = given(root)
-        paths = sorted(_meshes_below(base), key=lambda path: _chance(seed, path)[0])[:self.at_most]
+        below = list(_meshes_below(base))
+        shown = [path for path in below if not is_hidden(path.rpartition("/")[2])]
+        paths = sorted(shown, key=lambda path: _chance(seed, path)[0])[:self.at_most]
         if not paths:
             raise OcnfError("no mesh found", code="empty", where=base, field="source.root",
                             expected=f"files *{', *'.join(FORMATS)} in it or in its folders")
-        found = [Entry(split=self._split(_chance(seed, path)[1]),
-                       category=path.split("/")[0] if "/" in path else "mesh", path=path) for path in paths]
-        return sorted(found, key=lambda entry: (SPLITS.index(entry.split), entry.path))
+        found = [self._entry(seed, path) for path in paths]
+        hidden = [self._entry(seed, path, HIDDEN) for path in sorted(set(below) - set(shown))]
+        return [*sorted(found, key=lambda entry: (SPLITS.index(entry.split), entry.path)), *hidden]
+
+    def _entry(self, seed: int, path: str, excluded: str | None = None) -> Entry:
+        return Entry(split=self._split(_chance(seed, path)[1]),
+                     category=path.split("/")[0] if "/" in path else "mesh", path=path, excluded=excluded)
 
     def _split(self, chance: float) -> str:
         last = [split for split in SPLITS if getattr(self.shares, split)][-1]
@@ -76,14 +84,14 @@ def _chance(seed: int, path: str) -> tuple[float, float]:
 
 
 def _meshes_below(root: Path) -> Iterator[str]:
-    """POSIX paths of all mesh files, relative to the root; hidden files and folders are passed over."""
+    """POSIX paths of all mesh files, relative to the root; hidden ones too, but not in hidden folders."""
 
     def fail(error: OSError) -> None:  # os.walk's default is to skip unreadable folders in silence
         raise error
 
     with storage_errors(root):
         for folder, folders, files in os.walk(root, onerror=fail):
-            folders[:] = [name for name in folders if not name.startswith(".")]
+            folders[:] = [name for name in folders if not is_hidden(name)]
             for name in files:
-                if Path(name).suffix.lower() in FORMATS and not name.startswith("."):
+                if Path(name).suffix.lower() in FORMATS:
                     yield (Path(folder) / name).relative_to(root).as_posix()

@@ -43,20 +43,6 @@ class CellTriangles(NamedTuple):
     centres: F32
 
 
-class _Layers(NamedTuple):
-    """Of each layer of cells its first cell and its first triangle, (D,) int64."""
-
-    cell_at: I64
-    triangle_at: I64
-
-
-class _Frame(NamedTuple):
-    """Where voxel (0, 0, 0) of an array lies, (3,) x y z in metres, and the size of a voxel."""
-
-    corner: F64
-    size: float
-
-
 def cell_triangles(octree: GridOctree, extent: float = 3.0) -> CellTriangles:
     """The surface of what is below 0; beyond the grid's border everything is free.
 
@@ -81,7 +67,7 @@ def cell_triangles(octree: GridOctree, extent: float = 3.0) -> CellTriangles:
     size = extent / max(octree.shape)
     # Index 0 of `values` is the voxel before the box's first, so its centre lies half a voxel outside.
     corner = (8.0 * first_tree[::-1] - 0.5 - np.array(octree.shape[::-1]) / 2) * size
-    _fill(values, _Layers(cell_at, triangle_at), _Frame(corner, size), found)
+    _fill(values, cell_at, triangle_at, np.append(corner, size), *found)
     found.first[-1] = len(found.triangles)
     return found
 
@@ -129,7 +115,7 @@ _TRIANGLES, _N_TRIANGLES = _table()
 
 
 @njit(cache=True, nogil=True)
-def _column(values, z, y, x):  # type: ignore[no-untyped-def]
+def _column(values: F32, z: int | np.int64, y: int, x: int) -> int:
     """Which of the four voxels of a cell's side at x are inside, as bits 0, 2, 4, 6 of a cell's code."""
     code = 0
     if values[z, y, x] < 0:
@@ -164,12 +150,13 @@ def _count(values: F32) -> tuple[I64, I64]:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _fill(values: F32, layers: _Layers, frame: _Frame, out: CellTriangles) -> None:
-    """Write the cells and triangles of each layer from where `_count` says that they begin."""
+def _fill(values: F32, cell_at: I64, triangle_at: I64, placing: F64, out: F32, first: I64,
+          centres: F32) -> None:
+    """Write the cells and triangles of each layer from where `_count` says that they begin.
+
+    `placing`: where index (0, 0, 0) of `values` lies, x y z, and the size of a voxel, metres.
+    """
     depth, height, width = values.shape
-    triangles, first, centres = out.triangles, out.first, out.centres  # a prange has to see arrays
-    cell_at, triangle_at = layers.cell_at, layers.triangle_at
-    corner, size = frame.corner, frame.size
     for layer in prange(depth - 1):
         z = np.int64(layer)
         cell, triangle = cell_at[z], triangle_at[z]
@@ -182,20 +169,20 @@ def _fill(values: F32, layers: _Layers, frame: _Frame, out: CellTriangles) -> No
                 before = after
                 if code == 0 or code == 255:
                     continue
-                _cut(values, (z, y, x - 1), code, _Frame(corner, size), cuts, centres[cell])
+                _cut(values, z, y, x - 1, code, placing, cuts, centres[cell])
                 first[cell] = triangle
                 cell += 1
                 for n in range(_N_TRIANGLES[code]):
                     for k in range(3):
                         for axis in range(3):
-                            triangles[triangle, k, axis] = cuts[_TRIANGLES[code, n, k], axis]
+                            out[triangle, k, axis] = cuts[_TRIANGLES[code, n, k], axis]
                     triangle += 1
 
 
 @njit(cache=True, nogil=True)
-def _cut(values, cell, code, frame, cuts, mean):  # type: ignore[no-untyped-def]
-    """Where the edges of the cell at (z, y, x) are cut, (12, 3) x y z in metres, and the mean of the cuts."""
-    z, y, x = cell
+def _cut(values: F32, z: int | np.int64, y: int, x: int, code: int, placing: F64, cuts: F64,
+         mean: F32) -> None:
+    """Where the cell's edges are cut, (12, 3) x y z in metres, and the mean of the cuts."""
     mean[:] = 0
     n = 0
     for edge in range(12):
@@ -208,7 +195,7 @@ def _cut(values, cell, code, frame, cuts, mean):  # type: ignore[no-untyped-def]
         cut[0], cut[1], cut[2] = x + (a & 1), y + (a >> 1 & 1), z + (a >> 2)
         cut[edge // 4] += at_a / (at_a - at_b)
         for axis in range(3):
-            cut[axis] = frame.corner[axis] + frame.size * cut[axis]
+            cut[axis] = placing[axis] + placing[3] * cut[axis]
             mean[axis] += cut[axis]
         n += 1
     for axis in range(3):

@@ -34,11 +34,12 @@ from ocnf_model.training.data import VALIDATION, DataSource, StoredData, open_da
 from ocnf_model.training.extend import extend, raised_epochs
 from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.train_state import TrainState, load_state, save_state
+from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
 _SCHEMA = 1
+_MAX_SETTINGS = 16 * 2**20  # bytes
 
 
 def train(data: str | Path, out: str | Path, settings: TrainSettings | None = None, *, device: str = "auto",
@@ -77,8 +78,7 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
         world.wait()
         for level in range(settings.levels):  # whatever is missing is said before hours of training
             variant = source.validation(folder, settings, level).variant
-        if isinstance(source, StoredData):
-            variant = source.training(folder, settings, settings.levels - 1).variant
+        source.training(folder, settings, settings.levels - 1)
         settings = asked.resolved(source.manifest, variant, data)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
@@ -103,6 +103,8 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World
     network = Architecture.of(settings).network(settings.levels, settings.checkpointing).to(world.device)
     training_data = _training_data(source, folder, settings)
     state, tensors = load_state(folder)
+    check_progress(folder, state, [settings.stage(level).epochs for level in range(settings.levels)],
+                   settings.resolutions)
     if world.is_main and state.rows:
         write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
@@ -178,7 +180,7 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, TrainingData]:
     """
     where = Store(folder).where(SETTINGS)
     try:
-        fields = json.loads(Store(folder).read_bytes(SETTINGS))
+        fields = json.loads(Store(folder).read_at_most(SETTINGS, _MAX_SETTINGS))
     except (ValueError, RecursionError) as error:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:

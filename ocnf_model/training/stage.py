@@ -13,8 +13,10 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
+from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.checkpoint import (
     Architecture,
     Header,
@@ -27,9 +29,10 @@ from ocnf_model.losses import bce_loss, l1_loss
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
 from ocnf_model.training.choice import is_better
+from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
 from ocnf_model.training.settings import Precision, TrainSettings
-from ocnf_model.training.train_state import EpochRow, TrainState, restore, save_state
+from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
@@ -78,6 +81,8 @@ class Trainer:
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
+        check_step(job.folder, state, len(job.training), self._stage.accumulate,
+                   exact=job.settings.on_error is OnError.RAISE)
         restore(tensors, self._level, self._optimiser)
         if state.loader is not None:
             job.training.load_state_dict(state.loader)
@@ -126,9 +131,19 @@ class Trainer:
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        losses = LOSSES[self._job.network.output](self._forward(example).raw, example.target, "none")
+        loss = LOSSES[self._job.network.output]
+        if self._stage.crop is None:
+            losses = loss(self._forward(example).raw, example.target, "none")
+        else:
+            losses = self._crop_losses(example, batch, self._stage.crop // TREE_WIDTH, loss)
         (losses.mean() / group).backward()
         return losses.detach()
+
+    def _crop_losses(self, example: Example, batch: Batch, size: int, loss: Callable[..., Tensor]) -> Tensor:
+        corners = draw_corners(example.target.structure, size, self._job.settings.seed, batch.epoch,
+                               batch.keys)
+        with self._precision():
+            return crop_losses(self._job.network, example, self._state.level, corners, size, loss)
 
     def _update(self, met: list[tuple[Batch, Tensor]]) -> float:
         """A step of the optimiser over some batches; their mean loss over all ranks."""
@@ -222,9 +237,12 @@ class Trainer:
         return make_example(batch, self._job.network.output, self._job.target, self._job.world.device)
 
     def _forward(self, example: Example) -> LevelOutput:
-        low = self._job.settings.precision is Precision.BFLOAT16
-        with torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low):
+        with self._precision():
             return self._job.network.run(example.inputs, frozen=self._state.level)[-1]
+
+    def _precision(self) -> torch.autocast:
+        low = self._job.settings.precision is Precision.BFLOAT16
+        return torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low)
 
     def _save(self) -> None:
         if self._job.world.is_main:

@@ -269,6 +269,10 @@ def test_a_missing_field_is_named(field: str) -> None:
     ("", ["not a mapping", "found None"]),
     ("{" * 100_000, ["nested too deeply"]),
     ("name: 2026-99-99\n", ["not valid YAML"]),
+    ("seed: 010\n", ["line 1, column 7", "010 is one number to YAML 1.1 and another to YAML 1.2"]),
+    ("seed: -0_7\n", ["leading zero"]),
+    ("seed: 1:30\n", ["1:30 is one number"]),
+    ("limits: {timeout_s: 1:30.5}\n", ["1:30.5 is one number"]),
 ])
 def test_a_file_that_is_no_manifest(text: str, parts: list[str], tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
@@ -394,7 +398,10 @@ def test_the_published_selection(tmp_path: Path) -> None:
     (tmp_path / "bed/train/notes.txt").write_text("")
     source = {**MODELNET, "counts": {"train": 8, "val": 3, "test": 2}}
     m = Manifest.from_dict(example(source=source))
-    chosen = {(e.split, e.path) for e in m.source.entries(m.meshes_root(tmp_path))}
+    entries = m.source.entries(m.meshes_root(tmp_path))
+    hidden = [e for e in entries if e.excluded]
+    assert [(e.split, e.path) for e in hidden] == [("train", "bed/train/.hidden.off")], "once, for two splits"
+    chosen = {(e.split, e.path) for e in entries if not e.excluded}
     assert chosen == {
         *(("train", f"bed/train/bed_{i:04d}.off") for i in range(8)),
         *(("val", f"bed/train/bed_{i:04d}.off") for i in (8, 9, 10)),
