@@ -28,14 +28,15 @@ def openvdb() -> Any:
     Raises:
         OcnfError: code `missing_extra` where it is not installed.
     """
+    failures = []
     for name in _MODULES:
         try:
             return importlib.import_module(name)
-        except ImportError:
-            continue
-    raise OcnfError("OpenVDB grids need OpenVDB's Python module, which pip does not offer",
-                    code="missing_extra", where="export", field="format", found="vdb",
-                    fix="install it with `conda install -c conda-forge openvdb`, or as python3-openvdb of Debian")
+        except ImportError as error:  # missing, or built for another numpy
+            failures.append(str(error))
+    raise OcnfError("OpenVDB grids need OpenVDB's Python module, which is not on PyPI", code="missing_extra",
+                    where="export", field="format", found="; ".join(failures),
+                    fix="install it: `conda install -c conda-forge openvdb`, or python3-openvdb of Debian")
 
 
 def vdb_grids(sample: ExportSample) -> list[Any]:
@@ -71,6 +72,7 @@ def _grid(vdb: Any, name: str, octree: GridOctree, extent: float, tau: float | N
     grid.name = name
     grid.gridClass = vdb.GridClass.FOG_VOLUME if tau is None else vdb.GridClass.LEVEL_SET
     grid.copyFromArray(np.ascontiguousarray(values.transpose(2, 1, 0)))
-    grid.transform = vdb.createLinearTransform(voxelSize=size)
-    grid.transform.postTranslate(tuple(0.5 * size * (1 - n) for n in octree.shape[::-1]))
+    first = [0.5 * size * (1 - n) for n in octree.shape[::-1]]  # centre of voxel (0, 0, 0)
+    grid.transform = vdb.createLinearTransform(  # of rows (i, j, k, 1)
+        [[size, 0, 0, 0], [0, size, 0, 0], [0, 0, size, 0], [*first, 1]])
     return grid

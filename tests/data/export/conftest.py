@@ -44,11 +44,13 @@ def field(distance: Callable[[np.ndarray], np.ndarray], resolution: int) -> np.n
 
 def histogram(resolution: int) -> np.ndarray:
     bins = np.random.default_rng(5).integers(0, 10, (resolution // 8,) * 3)
-    return np.moveaxis(np.eye(10, dtype=np.float32)[bins.repeat(8, 0).repeat(8, 1).repeat(8, 2)], -1, 0).copy()
+    bins = bins.repeat(8, 0).repeat(8, 1).repeat(8, 2)
+    return np.moveaxis(np.eye(10, dtype=np.float32)[bins], -1, 0).copy()
 
 
 def make_sample(key: str, category: str, distance: Callable[[np.ndarray], np.ndarray], split: str,
-                resolutions: tuple[int, ...] = (32, 64), target: str = "tsdf") -> tuple[str, dict[str, bytes]]:
+                resolutions: tuple[int, ...] = (32, 64),
+                target: str = "tsdf") -> tuple[str, dict[str, bytes]]:
     """The members of a sample: the ground truth, and as inputs a smaller ball's TSDF and a histogram."""
     octrees = {}
     for resolution in resolutions:
@@ -77,7 +79,8 @@ def known() -> SimpleNamespace:
 
 @pytest.fixture(scope="session")
 def _shapes() -> dict[str, list[list[tuple[str, dict[str, bytes]]]]]:
-    return {"train": [[make_sample("ball_1", "ball", ball, "train"), make_sample("box_1", "box", box, "train")],
+    return {"train": [[make_sample("ball_1", "ball", ball, "train"),
+                       make_sample("box_1", "box", box, "train")],
                       [make_sample("ball_2", "ball", ball, "train", (32,))]],
             "test": [[make_sample("box_2", "box", box, "test")]]}
 

@@ -75,7 +75,7 @@ def test_a_sample_that_fails_does_not_stop_the_others(shapes: Store, tmp_path: P
     (shapes.root / "train/shard-000001.json").unlink()
     report = export_dataset(shapes.url, tmp_path / "b", "dense", resolution=32)
     assert report.written == 2
-    codes = dict((key, error.code) for key, error in report.failures)
+    codes = {key: error.code for key, error in report.failures}
     assert codes == {"box_1": "checksum", "train/shard-000001.tar[0]": "missing"}
 
 
