@@ -22,7 +22,7 @@ def network(channels: int, width: int) -> nn.Module:
     """(B, channels, D, H, W) -> (B, 1, D, H, W) in [-1, 1]."""
     return nn.Sequential(
         nn.Conv3d(channels, width, 3, padding=1), nn.ReLU(),
-        nn.Conv3d(width, width, 3, padding=2, dilation=2), nn.ReLU(),
+        nn.Conv3d(width, width, 3, padding=1), nn.ReLU(),
         nn.Conv3d(width, 1, 3, padding=1), nn.Tanh())
 
 
