@@ -25,11 +25,15 @@ ARROWS = {
     "ocnf_data.__main__": "ocnf_data.cli",
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
-        "ocnf_data.doctor ocnf_data.files ocnf_data.generation ocnf_data.manifest ocnf_data.meshes "
-        "ocnf_data.shards ocnf_data.terminal ocnf_data.verify ocnf_data.version",
+        "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.files ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal ocnf_data.verify "
+        "ocnf_data.version",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
+    "ocnf_data.export":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.meshes "
+        "ocnf_data.octree ocnf_data.shards",
     "ocnf_data.files": "ocnf_data.errors",
     "ocnf_data.fusion":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
