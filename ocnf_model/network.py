@@ -53,7 +53,7 @@ class Output(StrEnum):
         return 0.0 if self is Output.TSDF else 0.5
 
 
-class Normalise(StrEnum):
+class Normaliser(StrEnum):
     """What comes between a 3x3x3 convolution and its ReLU."""
 
     NONE = "none"
@@ -116,11 +116,11 @@ class Level(nn.Module):
         output: see `Output`.
         context: width of the `DenseContext` before the bottom's convolutions; 0 for none (the paper).
         residual: whether a convolution that keeps the number of channels adds its result to its input.
-        normalise: see `Normalise`.
+        normalise: see `Normaliser`.
     """
 
     def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
-                 context: int = 0, residual: bool = False, normalise: Normalise = Normalise.NONE) -> None:
+                 context: int = 0, residual: bool = False, normalise: Normaliser = Normaliser.NONE) -> None:
         super().__init__()
         self.join, self.output, self.checkpointing = join, output, False
         self.residual, self.normalise = residual, normalise
@@ -208,7 +208,7 @@ class OctNetFusion(nn.Module):
     def __init__(
         self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
-        band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normalise.NONE,
+        band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normaliser.NONE,
         checkpointing: bool = False,
     ) -> None:
         super().__init__()
@@ -223,7 +223,7 @@ class OctNetFusion(nn.Module):
                             expected="three positive numbers")
         self.channels = channels[0], channels[1], channels[2]
         self.band, self.context, self.residual = band, context, residual
-        self.normalise = _choice(Normalise, "normalise", normalise)
+        self.normalise = _choice(Normaliser, "normalise", normalise)
         carried = self.channels[0] if self.carry is Carry.FEATURES else 1
         self.levels = nn.ModuleList(
             Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output,
@@ -283,7 +283,7 @@ class OctNetFusion(nn.Module):
 
     def set_checkpointing(self, on: bool) -> None:
         """Whether the backward pass computes the activations within a block again, to keep fewer."""
-        if on and self.normalise is Normalise.BATCH:
+        if on and self.normalise is Normaliser.BATCH:
             raise OcnfError("batch normalisation would count every batch twice", where="OctNetFusion",
                             field="checkpointing", found=True, expected="false, or normalise: none")
         for module in self.modules():
@@ -309,8 +309,8 @@ class OctNetFusion(nn.Module):
                             field="inputs[0]", found=inputs[0].structure.describe())
 
 
-def _convs(normalise: Normalise, *channels: int) -> nn.ModuleList:
-    kind = OctreeConv3d if normalise is Normalise.NONE else NormalisedConv3d
+def _convs(normalise: Normaliser, *channels: int) -> nn.ModuleList:
+    kind = OctreeConv3d if normalise is Normaliser.NONE else NormalisedConv3d
     return nn.ModuleList(kind(a, b) for a, b in pairwise(channels))
 
 

@@ -20,7 +20,7 @@ _SPHERE_MARGIN = 1.03  # DeepSDF's own: the farthest vertex lies at 1 / 1.03
 
 
 @dataclass(frozen=True)
-class Frame:
+class ExportFrame:
     """From metres to the coordinates of a file and on to those of the mesh that the sample was made of.
 
     Attributes:
@@ -130,7 +130,7 @@ class ExportSample:
                             fix="export it as dense or vdb, or generate with `target: tsdf`")
         return self.octree(self.target)
 
-    def frame(self, default: Coordinates, radius: float) -> Frame:
+    def frame(self, default: Coordinates, radius: float) -> ExportFrame:
         """The frame that the settings ask for, or the default.
 
         Args:
@@ -141,7 +141,7 @@ class ExportSample:
         factor = {Coordinates.METRES: 1.0, Coordinates.UNIT_CUBE: 1 / self.extent,
                   Coordinates.UNIT_SPHERE: 1 / (_SPHERE_MARGIN * radius)}[chosen]
         placed = self._fact("normalisation")
-        return Frame(factor, np.array(placed["centre"], np.float64), 1 / (factor * float(placed["scale"])))
+        return ExportFrame(factor, np.array(placed["centre"], np.float64), 1 / (factor * float(placed["scale"])))
 
     def random(self, purpose: str) -> np.random.Generator:
         """A generator that depends on the key and the purpose alone: not on order, workers or the time."""
