@@ -141,7 +141,8 @@ class ExportSample:
         factor = {Coordinates.METRES: 1.0, Coordinates.UNIT_CUBE: 1 / self.extent,
                   Coordinates.UNIT_SPHERE: 1 / (_SPHERE_MARGIN * radius)}[chosen]
         placed = self._fact("normalisation")
-        return ExportFrame(factor, np.array(placed["centre"], np.float64), 1 / (factor * float(placed["scale"])))
+        return ExportFrame(factor, np.array(placed["centre"], np.float64),
+                           1 / (factor * float(placed["scale"])))
 
     def random(self, purpose: str) -> np.random.Generator:
         """A generator that depends on the key and the purpose alone: not on order, workers or the time."""
