@@ -197,7 +197,8 @@ def _adopt(target: Store, settings: ExportSettings, identity: str) -> None:
             if known[setting] != value:
                 raise OcnfError("the folder holds an export of other settings", code="misfit",
                                 where=target.where(name), field=setting, found=_said(value),
-                                expected=_said(known[setting]), fix="give the same settings, or another folder")
+                                expected=_said(known[setting]),
+                                fix="give the same settings, or another folder")
         return
     target.put_bytes(name, canonical_json(record))
 
