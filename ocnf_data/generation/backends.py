@@ -62,6 +62,9 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
         from joblib import Parallel, delayed
         from joblib.externals.loky import get_reusable_executor
         from joblib.externals.loky.process_executor import BrokenProcessPool
+    # joblib's remark when it is left early. An interrupt may come where only the garbage collector closes the
+    # generator, so the filter stays.
+    warnings.filterwarnings("ignore", message=".*have been cancelled")
     left = {task.shard.name: task for task in tasks}
     deaths = 0
     finished = False
@@ -84,9 +87,7 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
                     raise OcnfError(f"worker processes keep dying ({type(error).__name__})", code="workers",
                                     fix="run with fewer --jobs: it is mostly memory that runs out") from error
             finally:
-                with warnings.catch_warnings():
-                    warnings.filterwarnings("ignore", message=".*have been cancelled")
-                    results.close()  # left early, it kills the workers
+                results.close()  # left early, it kills the workers
         finished = True
     finally:
         # Not `reuse="auto"`: replacing the executor would wait for the shards in the making.
