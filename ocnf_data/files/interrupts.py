@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
 
-Result = TypeVar("Result")
+Value = TypeVar("Value")
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SECONDS_OF_GRACE = 2.0
@@ -92,7 +92,7 @@ def starting_processes() -> Iterator[None]:
 
 
 @contextmanager
-def joblib_results(start: Callable[[], Generator[Result, None, None]]) -> Iterator[Iterator[Result]]:
+def joblib_results(start: Callable[[], Generator[Value, None, None]]) -> Iterator[Iterator[Value]]:
     """What joblib's workers return, for as long as the block lasts; leaving it early kills the workers.
 
     Args:
