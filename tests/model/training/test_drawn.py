@@ -21,7 +21,7 @@ from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
 from ocnf_model.training.data import open_data
 from ocnf_model.training.run import train
-from ocnf_model.training.state import load_place
+from ocnf_model.training.train_state import load_state
 
 from .conftest import MANIFEST
 from .test_processes import ENVIRONMENT, TRAINS_UNTIL_KILLED
@@ -64,7 +64,7 @@ def test_a_manifest_trains_and_its_validation_split_is_made_once(finished, manif
                     for folder in (finished / "validation", tiny))
     assert made == stored
     assert not (finished / "validation" / "train").exists()
-    before = {path: path.stat().st_mtime_ns for path in (finished / "validation" / "val").iterdir()}
+    before = {path: path.stat().st_mtime_ns for path in (finished / "validation" / "val").glob("shard-*")}
     train(manifest, finished, small(stages=STAGES), device="cpu")
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
@@ -92,7 +92,7 @@ def test_a_killed_run_ends_with_the_same_weights(manifest, variants, small, tmp_
          "--settings", str(file), "--workers", "2", "--device", "cpu"],
         env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=180, check=False)
     assert process.returncode == -signal.SIGKILL, process.stderr
-    place = load_place(out)[0]
+    place = load_state(out)[0]
     assert (place.level, place.epoch, place.step) == (0, 1, 2)
     shutil.rmtree(out / "cache", ignore_errors=True)  # what it held is made again
     train(data, out, settings, device="cpu")
@@ -126,7 +126,7 @@ def test_two_ranks_have_the_losses_of_one_with_twice_the_batch(manifest, small, 
          str(file), "--device", "cpu"],
         env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=180, check=False)
     assert process.returncode == 0, process.stderr
-    one, two = (load_place(folder)[0].rows for folder in (tmp_path / "one", out))
+    one, two = (load_state(folder)[0].rows for folder in (tmp_path / "one", out))
     assert [row.train_loss for row in two] == pytest.approx([row.train_loss for row in one], rel=1e-4)
     assert [row.val_mad for row in two] == pytest.approx([row.val_mad for row in one], rel=1e-4)
 
@@ -148,7 +148,7 @@ def test_a_mixture_draws_variants_and_the_network_is_not_told(variants, manifest
 def test_an_epoch_of_a_plain_data_set_may_have_another_length(tiny, small, out) -> None:
     settings = small(levels=1, samples_per_epoch=3, stages=[STAGES[0] | {"accumulate": 1}])
     train(tiny, out, settings, device="cpu")
-    assert [row.steps for row in load_place(out)[0].rows] == [3, 6]
+    assert [row.steps for row in load_state(out)[0].rows] == [3, 6]
 
 
 def test_settings_of_a_plain_run_are_written_as_before_mixtures_were(tiny, small, out) -> None:
