@@ -1,4 +1,4 @@
-"""`ocnf-data`: generate, verify, inspect and repair data sets.
+"""`ocnf-data`: generate, verify, inspect, repair and export data sets.
 
 A command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from ocnf_data.encodings import Encoding
+from ocnf_data.export.settings import Coordinates, ExportFormat
 from ocnf_data.terminal import print_error, run_app, stoppable
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
-                  help="Grid-octree training data from meshes: generate, verify, inspect and repair.")
+                  help="Grid-octree training data from meshes: generate, verify, inspect, repair and export.")
 _out = Console(emoji=False)  # `shapes:airplane:train:1` is a name
 _err = Console(stderr=True, emoji=False)
 _debug = False
@@ -167,6 +169,49 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
         for problem in left:
             print_error(f"cannot be repaired: {problem}", _err)
         raise typer.Exit(1 if left else 0)
+
+
+@app.command("export")
+def export_command(
+    folder: Folder,
+    format_: Annotated[ExportFormat, typer.Option(
+        "--format", help="dense: volumes as .npz. points: surface points, occupancies and signed distances "
+                         "for Occupancy Networks and DeepSDF. mesh: PLY. vdb: OpenVDB.")],
+    out: Annotated[str, typer.Option(metavar="OUT", help="Where the files go: a folder, or an fsspec URL.")],
+    jobs: Jobs,
+    split: Annotated[list[str] | None, typer.Option(
+        metavar="NAME", help="A split to export; may be given several times.", show_default="all")] = None,
+    resolution: Annotated[int | None, typer.Option(
+        metavar="N", help="Voxels along a side, one of the data set's.", show_default="the largest")] = None,
+    variant: Annotated[str | None, typer.Option(
+        metavar="NAME", help="dense, mesh, vdb: the input variant to export.", show_default="all")] = None,
+    encoding: Annotated[Encoding | None, typer.Option(
+        help="dense: the input encoding to export.", show_default="all")] = None,
+    limit: Annotated[int | None, typer.Option(
+        min=1, metavar="N", help="At most N samples of each split.", show_default="all")] = None,
+    points: Annotated[int, typer.Option(
+        min=1, metavar="N", help="points: how many of each kind, for each sample.")] = 100_000,
+    coordinates: Annotated[Coordinates | None, typer.Option(
+        help="points, mesh, vdb: the frame of coordinates.",
+        show_default="what the readers of each file expect")] = None,
+    stored: Annotated[bool, typer.Option(
+        "--stored", help="dense: uint8 and float16 as they are stored, instead of float32.")] = False,
+) -> None:
+    """Write the samples of a data set in a format that other programs read.
+
+    Samples that are there already are kept, so that a run that was stopped goes on; a folder with an export
+    of other settings is refused. The exit status is 1 when a sample could not be exported.
+    """
+    from ocnf_data.export import export_dataset
+
+    with _Bar("exporting") as progress:
+        report = export_dataset(folder, out, format_, splits=split or None, limit=limit,
+                                resolution=resolution, variant=variant, encoding=encoding, points=points,
+                                coordinates=coordinates, stored=stored, jobs=jobs, progress=progress)
+    for key, error in report.failures:
+        print_error(f"{key}: {error}".replace(f"{key}: {key}: ", f"{key}: "), _err)
+    _out.print(str(report), highlight=False, markup=False, soft_wrap=True)
+    raise typer.Exit(1 if report.failures else 0)
 
 
 @app.command("doctor")

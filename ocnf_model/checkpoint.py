@@ -23,7 +23,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
 from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, validate
-from ocnf_model.network import Carry, Join, OctNetFusion, Output
+from ocnf_model.network import Carry, Join, Normaliser, OctNetFusion, Output
 from ocnf_model.tensorfile import TensorKind, read_header, read_kinds, read_tensors, write_tensors
 
 CHECKPOINT_SCHEMA: Final = 1
@@ -47,6 +47,7 @@ class Architecture(Strict):
     band: Annotated[Real, Field(gt=0, le=1024)]
     context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     residual: bool = False
+    normalise: Normaliser = Normaliser.NONE
 
     @classmethod
     def of(cls, source: object) -> Architecture:

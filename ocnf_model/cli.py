@@ -235,6 +235,9 @@ def fuse_command(
 
 def main() -> None:
     """Run the command line."""
+    # Read when PyTorch loads OpenMP, which is later. By default its threads wait for each other by spinning,
+    # so beside another process they use up the time that the one they wait for would need.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     run_app(app, _err, lambda: _debug)
 
 

@@ -25,7 +25,7 @@ MANIFEST = {
     "source": {"kind": "shapes", "categories": ["chair", "lamp"], "counts": {"train": 6, "val": 2}},
     "camera": {"rig": "fibonacci8", "width": 48, "height": 40, "fx": 28, "fy": 27, "cx": 24, "cy": 20},
     "resolutions": [32],
-    "inputs": [{"name": "v2", "views": 2, "sigma": 0.01, "encodings": ["tsdf"]}],
+    "inputs": [{"name": "v2", "views": 2, "sigma": 0.01, "encodings": ["tsdf", "histogram"]}],
     "shards": {"samples": 1},
 }
 TRAIN = ["--levels", "1", "--encoding", "tsdf", "--channels", "2,2,2", "--device", "cpu", "--epochs", "500"]

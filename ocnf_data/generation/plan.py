@@ -25,6 +25,7 @@ from typing import Any
 from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.fingerprint import fingerprint
+from ocnf_data.generation.procedural import procedural_name
 from ocnf_data.generation.records import EXCLUDED, Failure, Item, ShardPlan
 from ocnf_data.manifest import SPLITS, Entry, Manifest
 from ocnf_data.shards.tarformat import MAX_KEY, MAX_NAME, input_member, target_member
@@ -181,7 +182,9 @@ def _readable(entry: Entry) -> str:
 
 def entry_source(entry: Entry) -> str:
     """What `Item.source` says of an entry."""
-    return entry.path if entry.path is not None else f"shapes:{entry.category}:{entry.split}:{entry.index}"
+    if entry.path is not None:
+        return entry.path
+    return procedural_name(entry.category, entry.split, entry.index or 0)
 
 
 def _key_limit(manifest: Manifest) -> int:

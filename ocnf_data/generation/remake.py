@@ -9,6 +9,7 @@ from typing import Any
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
+from ocnf_data.generation.procedural import is_procedural
 from ocnf_data.generation.records import Item
 from ocnf_data.generation.sample import Noise, observe, read_item, render_item
 from ocnf_data.manifest import Manifest
@@ -52,7 +53,7 @@ def remake(
         raise OcnfError("not the mesh that the sample was made of", code="changed", where=item.source,
                         found=f"sha256 {mesh.sha256}", expected=item.sha256)
     vertices, _ = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
-    views = render_item(manifest, vertices, mesh)
+    views = render_item(manifest, vertices, mesh, key=item.key)
     noise = Noise(manifest.seed, item.key, views.size)
     observed = {variant.name: observe(manifest, views, variant, noise) for variant in manifest.inputs}
     return Remade(mesh, vertices, views, observed)
@@ -60,5 +61,5 @@ def remake(
 
 def _item(facts: Mapping[str, Any]) -> Item:
     source = facts["source"]
-    index = int(source.rpartition(":")[2]) if source.startswith("shapes:") else None
+    index = int(source.rpartition(":")[2]) if is_procedural(source) else None
     return Item(facts["key"], facts["split"], facts["category"], source, facts["mesh"]["sha256"], index)

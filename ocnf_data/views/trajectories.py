@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -23,13 +24,30 @@ from ocnf_data.errors import OcnfError
 
 Clearance = Callable[[F64], F64]
 
-_MAX_VIEWS = 100_000
+_NAME = re.compile(r"(around|inside)(0|[1-9][0-9]{0,8})")
+_MAX_VIEWS, _MAX_IN_A_RIG = 100_000, 2_000
 _TRIES = 24
 _WIDER, _TIGHTER = 1.12, 0.8  # a try
 _CHECKED = 4  # points between two views that are checked too, at least _CHECKED_LEAST in all
 _CHECKED_LEAST = 120
 _ROLL = np.radians(4.0)
 _TREMOR = np.radians(0.4)
+
+
+def path_from_name(name: str) -> tuple[str, int] | None:
+    """(kind, number of views) of `around<n>` or `inside<n>`; None for any other name.
+
+    Raises:
+        OcnfError: a number of views that is impossible.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return None
+    n = int(match[2])
+    if not 1 <= n <= _MAX_IN_A_RIG:
+        raise OcnfError("number of views out of range", field="rig", found=n,
+                        expected=f"1 to {_MAX_IN_A_RIG}")
+    return match[1], n
 
 
 def path_around(n: int, seed: int, key: str, centre: Sequence[float], radius: float,

@@ -1,7 +1,7 @@
 """Training a network stage by stage, resumable at any moment (SEMANTICS 5).
 
     RUN/settings.json          all settings, resolved, what they were resolved against, and epochs added since
-    RUN/state.safetensors      where the run is (see `training.state`)
+    RUN/state.safetensors      where the run is (see `training.train_state`)
     RUN/level-1.safetensors    best checkpoint of each level, by `best_by` of the settings (see `checkpoint`)
     RUN/curves.csv             a line an epoch
     RUN/tensorboard/           the curves by step

@@ -22,7 +22,7 @@ from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, re
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
 from ocnf_model.checkpoint import MAX_CHANNELS, Channels
-from ocnf_model.network import Carry, Join, Output
+from ocnf_model.network import Carry, Join, Normaliser, Output
 from ocnf_model.training.choice import BestBy
 
 
@@ -126,6 +126,8 @@ class TrainSettings(Strict):
     0 for none (the paper)."""
     residual: bool = False
     """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
+    normalise: Normaliser = Normaliser.NONE
+    """What comes between a convolution and its ReLU."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """One for each level; the last one holds for all that follow."""

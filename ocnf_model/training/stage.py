@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numba
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
@@ -110,6 +111,7 @@ class Trainer:
         state, n_batches = self._state, len(self._job.training)
         self._job.training.set_epoch(state.epoch)
         self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
+        self._job.network.eval()  # the levels before: their normalisation stays as it was trained
         self._level.train()
         met: list[tuple[Batch, Tensor]] = []
         for batch in loader:
@@ -159,6 +161,7 @@ class Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = self._stage.rate(self._state.steps, self._n_steps)
         self._optimiser.step()
+        self._job.world.average(self._level.buffers())
         self._optimiser.zero_grad()
         self._state.steps += 1
         first = [not again for batch, _ in met for again in batch.repeat]
@@ -256,4 +259,9 @@ def _is_finite(value: float) -> bool:
 def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
-                      pin_memory=job.world.device.type == "cuda")
+                      pin_memory=job.world.device.type == "cuda", worker_init_fn=use_one_thread)
+
+
+def use_one_thread(_: int) -> None:
+    """In a loader's worker: the cores are for the training process. (PyTorch does the same for its own.)"""
+    numba.set_num_threads(1)

@@ -63,7 +63,7 @@ def test_help_names_every_command() -> None:
     """As a process of its own: this is how it is called, and it must not need what only commands need."""
     command = [sys.executable, "-m", "ocnf_data", "--help"]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
-    for name in ("generate", "verify", "info", "repair", "doctor", "watertight"):
+    for name in ("generate", "verify", "info", "repair", "export", "doctor", "watertight"):
         assert name in result.stdout
     assert "--retry-failed" in ocnf("generate", "--help").out
 
@@ -259,3 +259,23 @@ def test_a_plan_of_a_terabyte_is_not_read(made, copied) -> None:
     (copied / "dataset.json").unlink()
     result = ocnf("generate", made[0], "--out", copied, "--jobs", 1)
     assert result.status == 1 and "plan.json" in result.err and "too large" in result.err
+
+def test_export(made, tmp_path) -> None:
+    """The account, what a second run keeps, and a setting that does not fit."""
+    _, out = made
+    target = tmp_path / "volumes"
+    arguments = ("export", out, "--format", "dense", "--out", target, "--jobs", 1, "--split", "train",
+                 "--limit", 2)
+    result = ocnf(*arguments)
+    assert result.status == 0, result.err
+    assert result.out.startswith("2 samples = 2 written + 0 kept + 0 failed; ")
+    assert len(list((target / "train").glob("*.npz"))) == 2
+    assert "= 0 written + 2 kept + 0 failed" in ocnf(*arguments).out
+    result = ocnf(*arguments, "--resolution", 64)
+    assert result.status == 1
+    assert "holds an export of other settings; found 64, expected nothing" in result.err
+    result = ocnf(*arguments[:4], "--out", tmp_path / "none", "--jobs", 1, "--variant", "v9")
+    assert result.status == 1 and "0 written + 0 kept + 6 failed" in result.out
+    assert "error: " in result.err and "v2-tsdf" in result.err
+    result = ocnf(*arguments[:3], "obj", "--out", target)
+    assert result.status == 2 and "dense" in result.err

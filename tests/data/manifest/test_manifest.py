@@ -146,6 +146,10 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
      ["inputs[0].sigma", "found -1", "greater than or equal to 0"]),
     ("noise as text", {"inputs": [{"name": "a", "views": 4, "sigma": "2%", "encodings": ["tsdf"]}]},
      ["inputs[0].sigma", "found '2%'", "number"]),
+    ("unknown scene", {"source": {"kind": "scenes", "categories": ["gardens"], "counts": {"train": 1}}},
+     ["source.categories.train[0]", "found 'gardens'", "rooms, tabletops"]),
+    ("no scenes", {"source": {"kind": "scenes", "categories": "all", "counts": {}}}, ["would be empty"]),
+    ("a path without views", {"camera": {"rig": "inside0"}}, ["camera.rig", "found 'inside0'", "1 to 2000"]),
     ("unknown noise", {"inputs": [{"name": "a", "views": 4, "noise": "kinekt", "encodings": ["tsdf"]}]},
      ["inputs[0].noise", "found 'kinekt'", "'park' or 'kinect'"]),
     ("sigma of a sensor", {"inputs": [
@@ -319,6 +323,17 @@ def test_any_value_in_any_place_is_read_or_refused(data: st.DataObject) -> None:
         return
     assert Manifest.from_dict(m.to_dict()) == m
     json.loads(m.canonical_json())
+
+
+def test_scenes_are_dealt_to_their_kinds_and_seen_from_paths() -> None:
+    source = {"kind": "scenes", "categories": "all", "counts": {"test": 3}}
+    m = Manifest.from_dict({"name": "s", "source": source,
+                            "camera": {"rig": "inside40", "distance": 1.0}, "inputs": example()["inputs"]})
+    assert m.source.entries() == [Entry("test", "rooms", index=0), Entry("test", "tabletops", index=0),
+                                  Entry("test", "rooms", index=1)]
+    assert m.meshes_root() is None and m.camera.n_views == 40
+    assert m.view_indices(m.inputs[0]) == (0, 13, 26, 39)
+    assert Manifest.from_dict(m.to_dict()) == m
 
 
 # ---- comparing
