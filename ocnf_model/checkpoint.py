@@ -69,8 +69,8 @@ class TrainingData(Strict):
     """What was trained on: enough to refuse data whose values mean something else.
 
     Attributes:
-        name: of the data set.
-        checksum: of its `dataset.json`.
+        name: name of the data set.
+        checksum: SHA-256 of its `dataset.json`.
         variant: name of the inputs.
         n_train, n_val: samples.
         extent: edge length of the cube in metres.
@@ -94,12 +94,13 @@ class Header(Strict):
     """What a checkpoint says about itself.
 
     Attributes:
-        schema_version: of the format.
-        level: from 1.
+        schema_version: version of the format.
+        level: number of the level, from 1.
         resolution: voxels along each axis.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
-        metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
-        settings: of the run, those that the weights depend on.
+        metrics: figures of the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and
+            `train_loss`.
+        settings: the settings of the run that the weights depend on.
         built_on: SHA-256 of the file of the level before.
         torch: version of PyTorch.
     """
@@ -127,8 +128,8 @@ class TrainedRun:
 
     Attributes:
         path: the folder.
-        network: in evaluation mode, on the CPU; it has the levels that are trained.
-        headers: of each level, coarse to fine.
+        network: the trained levels, in evaluation mode, on the CPU.
+        headers: header of each level's checkpoint, coarse to fine.
     """
 
     path: Path

@@ -74,7 +74,7 @@ def read_kinds(path: Path) -> dict[str, TensorKind]:
     """The kind of each tensor, by name; of the values nothing is read.
 
     Raises:
-        OcnfError: as for `read_header`.
+        OcnfError: the file cannot be read or is damaged, as for `read_header`.
     """
     with _opened(path) as file:
         names = _names(path, file)

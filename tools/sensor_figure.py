@@ -56,10 +56,10 @@ def load(folder: Path, resolution: int, n_frames: int, truncation: float) -> Seq
     """Fuse all frames, and render the surface into `n_frames` of them.
 
     Args:
-        folder: of a scan.
+        folder: folder of a scan.
         resolution: voxels along the cube around all that was measured.
         n_frames: evenly spread.
-        truncation: of the fusion, as a multiple of a Kinect's step at the farthest depth.
+        truncation: truncation of the fusion, as a multiple of a Kinect's step at the farthest depth.
     """
     scan = read_scan(folder)
     pyramid = DepthPyramid(scan.views)

@@ -119,9 +119,9 @@ def export_dataset(
         splits: names of the splits; None is all.
         limit: at most so many samples of each split, from its beginning.
         resolution: voxels along a side; None is the largest.
-        variant: of the inputs, for dense, mesh and vdb; None is all.
-        encoding: of the inputs, for dense; None is all.
-        points: of each kind and sample, for points.
+        variant: the input variant to write, for dense, mesh and vdb; None is all.
+        encoding: the input encoding to write, for dense; None is all.
+        points: number of points of each kind and sample, for points.
         coordinates: `metres`, `unit-cube` or `unit-sphere`; None is what the readers of each file expect.
         stored: dense volumes in the dtype on disk instead of float32.
         jobs: worker processes.

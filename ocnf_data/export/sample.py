@@ -40,7 +40,7 @@ class ExportSample:
 
     Attributes:
         stored: the sample.
-        settings: see `ExportSettings`.
+        settings: which files are written, and how.
     """
 
     stored: StoredSample
@@ -135,7 +135,7 @@ class ExportSample:
 
         Args:
             default: where the settings say nothing.
-            radius: of the surface around the cube's centre, metres.
+            radius: radius of the surface around the cube's centre, metres.
         """
         chosen = self.settings.coordinates or default
         factor = {Coordinates.METRES: 1.0, Coordinates.UNIT_CUBE: 1 / self.extent,

@@ -41,7 +41,7 @@ class ExportSettings:
     """What is written of each sample.
 
     Attributes:
-        format: see `ExportFormat`.
+        format: the format of the files, an `ExportFormat`.
         resolution: voxels along a side, one of the data set's; None is the largest.
         variant: the input variant to write; None is all. Points take no inputs.
         encoding: the input encoding to write; None is all. Meshes and VDB grids take `tsdf` only.

@@ -38,7 +38,7 @@ class Rule(NamedTuple):
         hidden_below: metres; a pixel with dist < hidden_below contributes nothing.
         free_from: metres; a pixel with dist >= free_from says free.
         truncation: tau in metres; for OCCUPANCY the threshold.
-        tolerance: of the split rule, in the units of the values.
+        tolerance: tolerance of the split rule, in the units of the values.
     """
 
     kind: int

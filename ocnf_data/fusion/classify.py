@@ -76,7 +76,7 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
     """Class of one view for cube `k` of a footprint (6, 8).
 
     Args:
-        footprint: of that view, by `footprints`.
+        footprint: (6, 8) footprint of the cubes in that view, by `footprints`.
         k: which of the eight cubes.
         windows: that view's part of the DepthPyramid, (n_entries, 3).
         levels: the DepthPyramid's.

@@ -21,7 +21,7 @@ class Report:
         failures: why the others did not; their rows are in `failures.jsonl`, with those of `exclusions`.
         exclusions: inputs that were left out on purpose, such as a file listed twice.
         made: samples and failures of this run; the rest was there already.
-        bytes: of all shards.
+        bytes: size of all shards together, in bytes.
         seconds: this run's wall time.
         threshold: share of failed items that the manifest allows.
         warnings: sentences.

@@ -43,8 +43,8 @@ class Plan:
 
     Attributes:
         manifest: resolved, as plain values.
-        fingerprint: see `fingerprint`.
-        shards: by split, then number.
+        fingerprint: versions of the libraries and type of the CPU, by `generation.fingerprint`.
+        shards: the shards, sorted by split, then number.
         exclusions: inputs that are left out on purpose.
     """
 

@@ -31,7 +31,7 @@ class ShardTask:
     Attributes:
         out: the data set's URL, as the worker reaches it.
         shard: the shard and its items.
-        setup, limits: for the child process the items run in.
+        setup, limits: what the child process that runs the items is started with.
         live: a folder to count finished items in, for the progress bar; None where the driver sees none.
     """
 
@@ -50,7 +50,7 @@ class ShardDone:
         name: `train-000007`.
         entry: what `dataset.json` is to say of it.
         contents: what the split's catalogue is to say of it.
-        failures: of its items.
+        failures: the items of this shard that failed.
     """
 
     name: str

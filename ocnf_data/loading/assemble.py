@@ -44,7 +44,7 @@ class Assembler:
     Args:
         catalogue: the samples.
         partition: which of them make a batch.
-        seed: of the augmentation.
+        seed: seed of the augmentation.
         augment: the group of symmetries.
         on_error: what becomes of a damaged sample.
         max_bad_fraction: share of the samples of a rank's epoch that may be lost; one always may.

@@ -41,7 +41,7 @@ class Octrees:
         kind: an `Encoding` or "target".
         trees: (B, GD, GH, GW, 2) int64, the bits of `GridOctree.trees` (bit 63 is the sign).
         data: (L, C) uint8 or float16, the leaves of all samples, in order; `value = data / divisor`.
-        n_leaves: of each sample; they sum to L.
+        n_leaves: (B,) number of leaves of each sample; they sum to L.
     """
 
     kind: str
@@ -86,7 +86,7 @@ class Slot:
         member: name of the member they come from.
         resolution: voxels along each axis.
         kind: an `Encoding` or "target".
-        n_leaves: of each sample.
+        n_leaves: (B,) number of leaves of each sample.
         trees_at: first byte.
     """
 
@@ -142,7 +142,7 @@ class Batch:
 
     Attributes:
         epoch, step: this is batch `step` of its rank in that epoch.
-        keys, categories: of each of the B samples.
+        keys, categories: key and category of each of the B samples.
         meta: the parsed `json` member of each; it speaks of the sample before augmentation.
         repeat: whether the sample was met before in this epoch, or stands in for a lost one. An average over
             an epoch leaves these out.

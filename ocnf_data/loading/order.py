@@ -44,7 +44,7 @@ def epoch_order(shard_sizes: Sequence[int] | I64, seed: int, epoch: int, buffer:
     Args:
         shard_sizes: samples of each shard; sample ids count through the shards in this order.
         seed: any integer from 0, like the epoch; each pair of them has its own order.
-        epoch: see seed.
+        epoch: number of the epoch, from 0.
         buffer: samples in a window, at least 1 (1 permutes the shards alone).
         shuffle: False gives 0 .. N-1, in every epoch.
 

@@ -17,10 +17,10 @@ class ShardSupply:
 
     Args:
         catalogue: the samples.
-        seed: of the order.
+        seed: seed of the samples' order.
         buffer: samples in the window that is shuffled.
         shuffle: whether it is.
-        checksum: of the data sets.
+        checksum: SHA-256 of the data sets, as `ShardDataset.checksum` gives it.
     """
 
     def __init__(self, catalogue: Catalogue, seed: int, buffer: int, shuffle: bool, checksum: str) -> None:

@@ -41,8 +41,8 @@ class Supply(Protocol):
         """A sample.
 
         Args:
-            epoch: from 0.
-            number: of the sample in it, from 0, without an end.
+            epoch: number of the epoch, from 0.
+            number: number of the sample in the epoch, from 0, without an upper limit.
             attempt: which stand-in to take where the first ones could not be had; 0 is the sample itself.
 
         Raises:
@@ -54,9 +54,9 @@ class SupplyAssembler:
     """Makes any batch of any epoch of one rank out of a supply.
 
     Args:
-        supply: of samples.
+        supply: where the samples come from.
         partition: which of an epoch's samples make a batch.
-        seed: of the augmentation.
+        seed: seed of the augmentation.
         augment: the group of symmetries.
         on_error: what becomes of a sample that cannot be had.
         lost: counts them.

@@ -41,7 +41,7 @@ def slice_cells(
     """The leaves that a plane of voxels cuts.
 
     Args:
-        octree: of shape (D, H, W).
+        octree: an octree of shape (D, H, W).
         axis: 0, 1 or 2 for a plane across z, y or x.
         index: which plane of voxels.
 
@@ -96,10 +96,10 @@ def draw_slice(
 
     Args:
         ax: where to draw.
-        octree: of any encoding.
+        octree: an octree of any encoding.
         axis: 0, 1 or 2 for a plane across z, y or x.
         index: which plane of voxels.
-        encoding: of the values.
+        encoding: encoding of the octree's values.
         window: draw only this part.
     """
     from matplotlib.collections import LineCollection

@@ -24,7 +24,7 @@ class StoredSample:
     """One sample of a data set; members are read, checked and decoded when asked for.
 
     Attributes:
-        reader: of the shard that holds it.
+        reader: reader of the shard that holds the sample.
         position: its number in the shard.
         entry: what the index says of it.
     """

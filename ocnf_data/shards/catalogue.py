@@ -114,7 +114,7 @@ class SplitCatalogue:
     Attributes:
         split: its name.
         samples: (S,) uint32, samples of each shard.
-        keys: of all samples, shard by shard.
+        keys: keys of all samples, shard by shard.
         categories: each name once, in the order of first use.
         category_of: (N,) uint32, the category's place in that list.
         members: lists of member names, each once, in the order of first use.

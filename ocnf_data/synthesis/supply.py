@@ -24,7 +24,7 @@ class SynthesisSupply:
     Args:
         sources: what samples are made of.
         request: what is wanted of every sample.
-        seed: of everything that is drawn.
+        seed: seed of everything that is drawn.
         cache: folder of the ground truths that epochs share, or None.
     """
 

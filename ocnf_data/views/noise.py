@@ -31,9 +31,9 @@ def observe_depth(model: NoiseModel, depth: F32, sigma: float, seed: int, key: s
         model: how the camera errs.
         depth: (H, W) float32 metres, without noise; inf for free rays.
         sigma: standard deviation as a fraction of the depth; 0 gives the depth as it is.
-        seed: see `view_noise`.
-        key: likewise.
-        view: likewise.
+        seed: seed of the noise, the manifest's.
+        key: the sample's key.
+        view: number of the view, from 0.
 
     Returns:
         (H, W) float32.

@@ -57,9 +57,9 @@ class KeptViews:
 
     Attributes:
         views: all views of the rig, without noise.
-        mesh_sha256: of the mesh's file.
+        mesh_sha256: SHA-256 of the mesh's file.
         fingerprint: `view_fingerprint` of the manifest they were rendered for.
-        normalisation: from the mesh's own coordinates to the cube that the cameras look at.
+        normalisation: the map from the mesh's own coordinates to the cube that the cameras look at.
         extent: edge length of that cube, metres.
     """
 

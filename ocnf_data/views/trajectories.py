@@ -62,7 +62,8 @@ def path_around(n: int, seed: int, key: str, centre: Sequence[float], radius: fl
         key: the item's.
         centre: (x, y, z) metres.
         radius: metres.
-        clearance: see the module; None: nothing is in the way.
+        clearance: gives the distance to the nearest surface in metres (see the module); None: nothing is in
+            the way.
         margin: metres that have to be free around the whole path.
 
     Returns:
@@ -106,7 +107,8 @@ def path_inside(n: int, seed: int, key: str, low: Sequence[float], high: Sequenc
         key: the item's.
         low: corner (x, y, z) of the box that the cameras stay in, metres.
         high: the other corner.
-        clearance: see the module.
+        clearance: gives the distance to the nearest surface in metres (see the module); None: nothing is in
+            the way.
         margin: metres.
     """
     corner, size = np.array(low, dtype=np.float64), np.subtract(high, low)

@@ -16,7 +16,7 @@ class Table:
     Attributes:
         title: what it is of.
         head: above the columns, after grid and method.
-        cells: of a summary.
+        cells: makes the cells of a line out of a summary.
         legend: below.
         with_ceilings: whether the ground truth has a line too.
     """

@@ -33,8 +33,8 @@ class SurfaceFigures:
             of meshes mean nothing. 1 is best, 0.5 is what random directions have.
         recall_thin: `surface_recall` of the true surface whose local thickness is less than 1.5 voxels of the
             resolution.
-        recall_medium: of that from 1.5 up to 3 voxels.
-        recall_thick: of that from 3 voxels on.
+        recall_medium: the same where the thickness is from 1.5 up to 3 voxels.
+        recall_thick: the same where the thickness is 3 voxels or more.
 
     A recall is NaN where the model has fewer than 30 of 30,000 samples of such thickness. Without a
     reconstructed surface distances are the cube's size, shares 0; without any true one, too, all is well.

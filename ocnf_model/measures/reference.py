@@ -21,7 +21,7 @@ class Reference:
     """What is true of a surface.
 
     Attributes:
-        surface: for distances to it.
+        surface: the triangles that distances are measured to.
         samples: N points spread evenly over its area.
         thickness: (N,) local thickness at them in metres, see `local_thickness`.
     """
@@ -52,7 +52,7 @@ class Reference:
         Args:
             triangles: (M, 3, 3) float64 of the normalised mesh, metres, in any winding.
             views: all views of the rig, without noise.
-            truth: for the thickness; as for `of_truth`.
+            truth: the ground truth, which the thickness is measured in, as for `of_truth`.
             extent: size of the cube in metres.
             longest: metres; a thickness above is infinite.
         """

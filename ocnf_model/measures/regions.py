@@ -56,7 +56,7 @@ def seen_by(encoded: OctreeBatch, encoding: Encoding) -> OctreeBatch | None:
 
     Args:
         encoded: an encoding of the input views, as stored or as fused.
-        encoding: which.
+        encoding: encoding of the inputs.
     """
     values = encoded.features
     if encoding is Encoding.HISTOGRAM:

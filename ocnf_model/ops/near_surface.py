@@ -19,7 +19,7 @@ def surface_trees(
     """Trees (8 T, 2) at twice the resolution, with every voxel near the surface split into eight.
 
     Args:
-        trees: of the reconstruction.
+        trees: (T, 2) trees of the reconstruction.
         prefix: `leaf_prefix(trees)`.
         grid: trees along each axis.
         below: (L,) whether each leaf lies below the threshold.

@@ -35,8 +35,8 @@ def is_better(row: EpochRow, best: EpochRow | None, by: BestBy) -> bool:
     """Whether an epoch is better than the best before it; by MAD where that one's F-score is not known.
 
     Args:
-        row: of the epoch; its `best` is not looked at.
-        best: of the level so far; None at its beginning.
+        row: figures of the epoch; its `best` is not looked at.
+        best: figures of the level's best epoch so far; None at its beginning.
         by: the measure.
     """
     if best is None:

@@ -85,10 +85,10 @@ class DrawnData:
     """A manifest, whose training samples are drawn without end.
 
     Args:
-        path: of the YAML.
+        path: path of the YAML file.
         meshes: the folder that its mesh paths are relative to.
         val: a data set to validate with; None makes one of the manifest's split.
-        train_split: that is drawn from.
+        train_split: name of the split that is drawn from.
         categories: only these.
     """
 
@@ -178,7 +178,7 @@ def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
 
     Args:
         data: path of a manifest (.yaml, .yml, .json), else folder or URL of a data set.
-        settings: of the run.
+        settings: settings of the run.
         meshes: the folder that a manifest's mesh paths are relative to.
         val: a data set to validate with.
     """

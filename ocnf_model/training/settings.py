@@ -68,7 +68,7 @@ class Stage(Strict):
 
         Args:
             done: steps before it.
-            steps: of the whole level.
+            steps: number of steps in the whole level.
         """
         if self.decay is Decay.NONE:
             return self.learning_rate
@@ -177,8 +177,8 @@ class TrainSettings(Strict):
         """With what the data set says filled in.
 
         Args:
-            manifest: of the data set.
-            variant: of the inputs that the loader chose.
+            manifest: manifest of the data set.
+            variant: name of the input variant that the loader chose.
             where: the data set, for messages.
 
         Raises:

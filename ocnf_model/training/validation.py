@@ -28,8 +28,9 @@ class Validation:
 
     Attributes:
         mad: millimetres, or for occupancy the mean difference of probabilities.
-        iou: of what is occupied.
-        f_score: of the surface at one voxel, against that of the ground truth of the level's resolution.
+        iou: intersection over union of the occupied voxels, 0 to 1.
+        f_score: F-score of the surface at one voxel, 0 to 1, against the ground truth's surface at the
+            level's resolution.
         regions: contributions to the MAD; NaN for occupancy, and where the encoding does not tell what is
             seen.
         picture: (H, W, 3) slices through the first samples of this process; None without any.
@@ -47,7 +48,7 @@ class Validator:
 
     Args:
         output: what the network makes.
-        encoding: of its inputs.
+        encoding: encoding of the inputs.
         tau: truncation distance at the level's resolution, in metres.
     """
 

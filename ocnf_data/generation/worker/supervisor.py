@@ -57,8 +57,8 @@ class ChildLimits:
     """When to give up on a child.
 
     Attributes:
-        item_seconds: for one item, compilation on a machine's very first run included.
-        start_seconds: for starting and importing.
+        item_seconds: seconds allowed for one item, compilation on a machine's very first run included.
+        start_seconds: seconds allowed for starting the child and its imports.
         resident_bytes: a child that holds more than this after an item is replaced before the next.
     """
 
