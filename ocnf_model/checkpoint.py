@@ -37,7 +37,7 @@ Counted = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 
 
 class Architecture(Strict):
-    """What a network is, but for its number of levels: the arguments of `OctNetFusion`."""
+    """What a network is, except for its number of levels: the arguments of `OctNetFusion`."""
 
     encoding: Encoding
     join: Join
@@ -51,7 +51,7 @@ class Architecture(Strict):
 
     @classmethod
     def of(cls, source: object) -> Architecture:
-        """That of a network, or of settings: anything that has these fields as attributes."""
+        """The architecture of a network, or of settings: anything that has these fields as attributes."""
         return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
     def kinds(self, level: int) -> dict[str, TensorKind]:
@@ -118,7 +118,7 @@ class Header(Strict):
     torch: str
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """The header as JSON values."""
         return self.model_dump(mode="json", by_alias=True)
 
 
@@ -229,7 +229,7 @@ def load_run(path: str | Path, levels: int | None = None) -> OctNetFusion:
 
 
 def run_path(path: str | Path) -> Path:
-    """Where a run is, or would be; of `pretrained`, the checkpoints that come with the package."""
+    """The folder of a run, existing or not; for `pretrained`, the checkpoints that come with the package."""
     return _PRETRAINED_FOLDER if str(path) == PRETRAINED else Path(path).expanduser()
 
 

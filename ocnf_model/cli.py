@@ -126,7 +126,7 @@ def run_info_command(run: Run) -> None:
 
 
 @app.command("evaluate")
-@stoppable(_err, "tables are written at the end only, and the same command begins anew")
+@stoppable(_err, "tables are written at the end only, and the same command starts again")
 def evaluate_command(
     run: Run,
     data: Data,
@@ -160,7 +160,7 @@ def evaluate_command(
 
 
 @app.command("choose-weight")
-@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
+@stoppable(_err, "{out} is written at the end only, and the same command starts again")
 def choose_weight_command(
     data: Data,
     out: Annotated[Path, typer.Option(
@@ -186,7 +186,7 @@ def choose_weight_command(
 
 
 @app.command("fuse")
-@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
+@stoppable(_err, "{out} is written at the end only, and the same command starts again")
 def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(

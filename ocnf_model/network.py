@@ -246,7 +246,7 @@ class OctNetFusion(nn.Module):
         return [result.reconstruction for result in self.run(inputs)]
 
     def run(self, inputs: Sequence[OctreeBatch], frozen: int = 0) -> list[LevelOutput]:
-        """As `forward`, with all that each level makes.
+        """The forward pass, with all that each level makes.
 
         Args:
             inputs: encoded views, an `OctreeBatch` for each level, coarse to fine.

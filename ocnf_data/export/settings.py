@@ -31,9 +31,9 @@ class Coordinates(StrEnum):
     METRES = "metres"
     """The cube of the data set, `normalise.extent` metres (3 m unless the manifest says otherwise) a side."""
     UNIT_CUBE = "unit-cube"
-    """That cube shrunk to [-0.5, 0.5], as Occupancy Networks have it."""
+    """The cube scaled to [-0.5, 0.5], as Occupancy Networks have it."""
     UNIT_SPHERE = "unit-sphere"
-    """Shrunk, sample by sample, until the surface fits a sphere of radius 1 / 1.03, as DeepSDF has it."""
+    """The cube scaled, sample by sample, until the surface fits a sphere of radius 1/1.03, as in DeepSDF."""
 
 
 @dataclass(frozen=True)

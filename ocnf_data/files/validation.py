@@ -68,7 +68,7 @@ def _some(value: tuple[_T, ...]) -> tuple[_T, ...]:
 
 
 NotEmpty = AfterValidator(_some)
-"""Refuses the empty tuple. (`min_length` would complain of it wherever an item is refused.)"""
+"""Refuses the empty tuple. (`min_length` would report it whenever an item is refused.)"""
 
 
 def validate(model: type[M], data: Any, where: object) -> M:

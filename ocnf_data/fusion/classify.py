@@ -22,7 +22,7 @@ FREE = 1
 SILHOUETTE = 2
 """Each voxel is either seen to be free or gets no contribution; none is near a surface."""
 SURFACE = 3
-"""Anything else."""
+"""All other cubes: a surface may be near some voxel."""
 EDGE = 4
 """Added to SILHOUETTE or SURFACE if a voxel may lie outside the image or behind the camera."""
 

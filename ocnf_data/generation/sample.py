@@ -229,11 +229,11 @@ class Noise:
         self._drawn: dict[int, F32] = {}
 
     def sensor(self, view: int) -> SensorDraws:
-        """The draws of `views.sensor`: six numbers a pixel, drawn anew rather than held."""
+        """The draws of `views.sensor`: six numbers a pixel, drawn again rather than held."""
         return sensor_draws(self._seed, self._key, view, self._size)
 
     def __call__(self, view: int) -> F32:
-        """Park's."""
+        """The standard normal noise (H, W) of Park's model."""
         if view not in self._drawn:
             self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
         return self._drawn[view]

@@ -63,7 +63,7 @@ def make_shard(task: ShardTask) -> ShardDone:
     """Make and publish a shard.
 
     Raises:
-        OcnfError: the shard cannot be written, or the machine is in trouble; nothing is published then.
+        OcnfError: the shard cannot be written, or the machine is at fault; nothing is published then.
     """
     store, shard = Store(task.out), task.shard
     supervisor = supervisor_of_this_thread(task.setup, task.limits)
@@ -114,7 +114,7 @@ def _add(writer: ShardWriter, item: Item, result: Sample | Failure) -> Failure |
         return result
     try:
         writer.add(result.key, result.members, result.timings)
-    except OcnfError as error:  # a member over the format's limits; the disk's troubles are OSErrors in here
+    except OcnfError as error:  # a member over the format's limits; failures of the disk are OSErrors in here
         return Failure.of(item, "write", error.code, str(error))
     return None
 

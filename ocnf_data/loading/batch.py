@@ -164,7 +164,7 @@ class Batch:
     slots: tuple[Slot, ...]
 
     def __len__(self) -> int:
-        """B. It is `batch_size` but for the last batch of an exact epoch, and less what is lost in one."""
+        """Number of samples, B: `batch_size`, or fewer at an exact epoch's end or where some were lost."""
         return len(self.keys)
 
     @property

@@ -162,14 +162,14 @@ class ShardDataset(EpochDataset):
         return order
 
     def supply(self) -> ShardSupply:
-        """Its samples by number, as a part of a `MixtureDataset`."""
+        """The samples by number, for use as a part of a `MixtureDataset`."""
         return ShardSupply(self._catalogue, self._seed, self._buffer, self._shuffle, self.checksum)
 
     # ---- what is in it
 
     @property
     def checksum(self) -> str:
-        """That of the data set, as its `dataset.json` has it; of several, the SHA-256 of theirs."""
+        """The checksum in the data set's `dataset.json`; for several data sets, the SHA-256 of theirs."""
         first, *others = self._catalogue.datasets
         return sha256_hex(canonical_json([first, *others])) if others else first
 

@@ -84,7 +84,7 @@ class DrawnDataset(EpochDataset):
         return order
 
     def supply(self) -> Supply:
-        """Its samples by number, as a part of a `MixtureDataset`."""
+        """The samples by number, for use as a part of a `MixtureDataset`."""
         return self._supply
 
     @property

@@ -107,11 +107,11 @@ class MixtureSupply:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """That of the first part; the others agree where it matters."""
+        """The manifest of the first part; the others agree where it matters."""
         return self._supplies[0].manifest
 
     def key(self, epoch: int, number: int, attempt: int) -> str:
-        """That of the part's sample."""
+        """The key of the part's sample."""
         part, n = self.place(epoch, number)
         return self._supplies[part].key(epoch, n, attempt)
 

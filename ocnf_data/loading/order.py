@@ -32,7 +32,7 @@ class Uneven(StrEnum):
     REPEAT = "repeat"
     """Every rank gets ceil(N / (world B)) batches; the first samples of the order come again, marked."""
     DROP = "drop"
-    """Every rank gets floor(N / (world B)) batches; the last samples of the order sit this epoch out."""
+    """Every rank gets floor(N / (world B)) batches; the order's last samples are left out of the epoch."""
     EXACT = "exact"
     """Each sample exactly once; some ranks get one batch less, one rank a shorter last batch."""
 

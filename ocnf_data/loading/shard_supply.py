@@ -33,7 +33,7 @@ class ShardSupply:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """That of the (first) data set."""
+        """The manifest of the (first) data set."""
         return self._catalogue.manifest
 
     def key(self, epoch: int, number: int, attempt: int) -> str:

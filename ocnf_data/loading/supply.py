@@ -32,7 +32,7 @@ class Supply(Protocol):
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """Resolved: what values mean."""
+        """The resolved manifest, which says what the values mean."""
 
     def key(self, epoch: int, number: int, attempt: int) -> str:
         """What `sample` is made of, for messages."""

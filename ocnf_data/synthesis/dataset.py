@@ -48,9 +48,9 @@ class SynthesisDataset(DrawnDataset):
             first samples, marked `repeat`.
         augment: "none", "rotations", "flips" or "all", of the octrees, as for `ShardDataset`.
         max_bad_fraction: with on_error="skip", the run stops when more than this share of the epoch's
-            samples, and more than one, had to be drawn anew.
+            samples, and more than one, had to be replaced.
         cache: folder for the ground truths that epochs share where the manifest says `repeat`; None makes
-            them anew every time. It changes nothing but the time.
+            them again every time. It changes nothing but the time.
         samples_per_epoch: number of samples in an epoch, instead of the manifest's.
 
     Raises:

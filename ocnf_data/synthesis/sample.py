@@ -22,7 +22,7 @@ from ocnf_data.synthesis.draw import Body, Look
 from ocnf_data.views.noise import observe_depth
 
 Truths = dict[int, RawOctree]
-"""By resolution."""
+"""The ground truth of a body at each resolution, voxels along each axis."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ class SynthesisSupply:
 
     @property
     def checksum(self) -> str:
-        """That of the sources."""
+        """The checksum of the sources."""
         return self._sources.checksum
 
     @property

@@ -3,7 +3,7 @@
     CACHE/<checksum>/season-000004/<SHA-256 of body and resolution>.oct      as `octree.codec` encodes it
 
 Processes write without a word to one another: whole files by rename, and equal names have equal contents.
-A season's folder goes when the one after the next begins. Damaged files are made anew.
+A season's folder goes when the one after the next begins. Damaged files are made again.
 """
 
 from __future__ import annotations

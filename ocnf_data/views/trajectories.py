@@ -148,7 +148,7 @@ class _Waves:
         self._random = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little"))).random
 
     def number(self) -> float:
-        """In [0, 1)."""
+        """A random number in [0, 1)."""
         return float(self._random())
 
     def curve(self, cycles: float) -> Callable[[F64], F64]:

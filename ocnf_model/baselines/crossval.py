@@ -24,7 +24,7 @@ CANDIDATE_WEIGHTS = (0.4, 0.64, 1.0, 1.6, 2.5, 4.0, 6.4)
 _MIN_WEIGHTS = 6
 _MAX_WEIGHTS = 24
 _PLATEAU = 1e-4
-"""Relative: at an end where the MAD falls by less than this from one weight to the next, it has settled."""
+"""The MAD has settled at an end where it falls by less than this share from one weight to the next."""
 
 
 @dataclass(frozen=True)

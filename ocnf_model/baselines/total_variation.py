@@ -31,7 +31,7 @@ from ocnf_model.baselines.passes import FREE, PrimalStep, Votes, dual_pass, ener
 _STEP = 1 / math.sqrt(12)
 """sqrt(t sigma); |grad|^2 <= 12 in 3-D, so t sigma <= 1/12 converges."""
 _RELAXATION = 1.8
-"""Below 2. Measured: about half the iterations of no relaxation (1.0)."""
+"""Relaxation, below 2; takes about half the iterations of no relaxation (1.0), as measured."""
 _CHECK_EVERY = 20
 _PATIENCE, _CIRCLING = 400, 1e-2
 """Where the relative gap is still above the second after so many iterations, the anchored ones take over."""

@@ -75,5 +75,5 @@ TABLES = (
 
 
 def number(value: float, digits: int) -> str:
-    """As tables have it: nothing for NaN."""
+    """The text of a number in a table, empty for NaN."""
     return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -30,7 +30,7 @@ from ocnf_model.octree.batch import OctreeBatch
 
 MeshArrays = tuple[F64, I64]
 TRUTH = "Ground truth"
-"""Its label beside those of the methods."""
+"""Label of the ground truth beside those of the methods."""
 Weight = Callable[[str, int], float]
 """TV-L1's weight for a (variant, resolution)."""
 

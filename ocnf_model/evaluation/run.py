@@ -26,7 +26,7 @@ from ocnf_model.network import OctNetFusion
 __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 
 WEIGHTS_FILE = "tvl1.json"
-"""In a run's folder: TV-L1's weights, if no other file is named."""
+"""Name of the file in a run's folder that holds TV-L1's weights, if no other file is named."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         run: a training run, or `pretrained`; read only where `ours` is among the methods.
         data: a data set, folder or URL.
         split: which split of the data set.
-        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder of yours, else
+        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder, else
             nothing is written.
         device: where the network runs: auto, cpu, cuda, ...
         methods: `ours`, `volfus`, `tvl1`; None: all that the data set has the inputs for.

@@ -41,7 +41,7 @@ def local_thickness(truth: GridOctree, points: F64, normals: F64, longest: float
 
 @njit(cache=True, nogil=True, parallel=True)
 def _follow(volume: F32, points: F64, normals: F64, longest: float) -> F64:
-    """As `local_thickness`, all in voxels; `points` x y z, whole numbers at voxel centres."""
+    """`local_thickness` in voxels; `points` are x y z, whole numbers at voxel centres."""
     found = np.zeros(len(points))
     for n in prange(len(points)):
         point, way = points[n], normals[n]

@@ -263,5 +263,5 @@ def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
 
 
 def use_one_thread(_: int) -> None:
-    """In a loader's worker: the cores are for the training process. (PyTorch does the same for its own.)"""
+    """Let a loader's worker use one thread, as PyTorch does too: the cores are for the training process."""
     numba.set_num_threads(1)

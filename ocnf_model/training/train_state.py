@@ -27,7 +27,7 @@ STATE: Final = "state.safetensors"
 _SCHEMA: Final = 1
 _WEIGHTS, _ADAM, _RANDOM = "weights.", "adam.", "random."
 _MOMENTS = ("exp_avg", "exp_avg_sq")
-_ANEW = "put a good copy in its place, or move the run's folder away and begin anew"
+_ANEW = "put a good copy in its place, or move the run's folder away and start again"
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
 
 def check_progress(folder: Path, state: TrainState, epochs: Sequence[int],
                    resolutions: Sequence[int]) -> None:
-    """Refuse a state that no run of these settings comes to.
+    """Refuse a state that no run with these settings can reach.
 
     Args:
         folder: folder of the run.

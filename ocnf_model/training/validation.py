@@ -100,13 +100,13 @@ class Validator:
         return Validation(mad, iou, score, Regions(*regions), picture)
 
     def _signed(self, grid: GridOctree) -> GridOctree:
-        """Negative inside, in [-1, 1]."""
+        """The octree with signed values in [-1, 1], negative inside."""
         values = grid.data if self._output is Output.TSDF else 1 - 2 * grid.data
         return grid.with_data(values.clip(-1, 1))
 
 
 def _f_score(found: GridOctree, true: GridOctree) -> float:
-    """At one voxel; lengths are in voxels here."""
+    """F-score at a distance of one voxel; lengths are in voxels here."""
     size = float(max(true.shape))
     return f_score(Surface.of_octree(found, size), Surface.of_octree(true, size), 1.0)
 

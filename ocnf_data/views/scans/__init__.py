@@ -32,7 +32,7 @@ __all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
 
 SCAN_FORMATS: dict[str, ScanFormat] = {
     one.name: one for one in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
-"""By the name that `--format` takes."""
+"""The formats of scans by the name that `--format` takes."""
 
 
 def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | int | None = None,

@@ -16,7 +16,7 @@ from ocnf_data.files.storage import storage_errors
 from ocnf_data.views.rigs import intrinsics as pinhole
 
 MILLIMETRES = 1e-3
-"""Metres a unit."""
+"""Length in metres of a unit of depth stored in millimetres."""
 
 
 class Direction(StrEnum):
