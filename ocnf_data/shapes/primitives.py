@@ -25,7 +25,7 @@ class Part(NamedTuple):
         return Part(self.vertices + np.array([x, y, z]), self.faces)
 
     def scale(self, x: float = 1, y: float = 1, z: float = 1) -> Part:
-        """The part stretched along the axes from the origin; a negative factor mirrors, normals stay outside."""
+        """The part stretched along the axes from the origin; mirrored by a negative factor, normals kept."""
         faces = self.faces[:, ::-1] if x * y * z < 0 else self.faces
         return Part(self.vertices * (x, y, z), faces)
 
