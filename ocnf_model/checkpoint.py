@@ -196,7 +196,7 @@ def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
 
     Args:
         path: a run's folder, or `pretrained`.
-        levels: how many are needed; None takes what there is.
+        levels: number of levels that are needed; None takes all that exist.
 
     Raises:
         OcnfError: none is there, or fewer than asked for; or they are damaged or do not go together.

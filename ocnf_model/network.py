@@ -187,7 +187,7 @@ class OctNetFusion(nn.Module):
 
     Args:
         encoding: encoding of the inputs, an `Encoding`.
-        levels: 1 or more; each doubles the resolution.
+        levels: number of levels, 1 or more; each doubles the resolution.
         join: `concat` (the paper) or `add`.
         carry: `features` (the paper) or `reconstruction`.
         output: `tsdf` or `occupancy`.

@@ -134,7 +134,7 @@ class ExportSample:
         """The frame that the settings ask for, or the default.
 
         Args:
-            default: where the settings say nothing.
+            default: coordinates to use where the settings name none.
             radius: radius of the surface around the cube's centre, metres.
         """
         chosen = self.settings.coordinates or default

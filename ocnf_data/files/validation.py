@@ -47,7 +47,7 @@ def refused(
         what: what is wrong, as a clause.
         found: the offending value, where it is only a part of the field's.
         expected: what is allowed.
-        at: where below the field, such as `[6]` or `.path`.
+        at: place below the field, such as `[6]` or `.path`.
     """
     context = {"what": what, "expected": expected, "at": at, "part": found is not None, "found": found}
     return PydanticCustomError("refused", "{what}", context)

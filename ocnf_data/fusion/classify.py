@@ -77,8 +77,8 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
 
     Args:
         footprint: (6, 8) footprint of the cubes in that view, by `footprints`.
-        k: which of the eight cubes.
-        windows: that view's part of the DepthPyramid, (n_entries, 3).
+        k: number of the cube among the eight, 0 to 7.
+        windows: (n_entries, 3) part of the DepthPyramid that belongs to that view.
         levels: the DepthPyramid's.
         size: image size (H, W).
         rule: the encoding's; its two bounds decide.

@@ -32,7 +32,7 @@ def run_tasks(tasks: Sequence[ShardTask], jobs: int, backend: str) -> Finished:
     """Make all shards, yielding each when it is in its place.
 
     Args:
-        tasks: what is to do.
+        tasks: the shards to make.
         jobs: worker processes; one loky job runs in this process. A cluster named by DASK_SCHEDULER_ADDRESS
             or RAY_ADDRESS has the workers it has.
         backend: a name from `BACKENDS`.

@@ -83,7 +83,7 @@ def find_done(store: Store, shard: ShardPlan, names: Collection[str]) -> ShardDo
 
     Args:
         store: the data set.
-        shard: what was planned.
+        shard: the planned shard.
         names: all files of the data set (`store.list()`), so that looking costs one listing for all shards.
     """
     index_name = index_path(shard.split, f"shard-{shard.number:06d}.tar")

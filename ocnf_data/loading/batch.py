@@ -144,9 +144,9 @@ class Batch:
         epoch, step: this is batch `step` of its rank in that epoch.
         keys, categories: key and category of each of the B samples.
         meta: the parsed `json` member of each; it speaks of the sample before augmentation.
-        repeat: whether the sample was met before in this epoch, or stands in for a lost one. An average over
+        repeat: whether the sample was met before in this epoch, or replaces a lost one. An average over
             an epoch leaves these out.
-        symmetries: what augmentation did to each.
+        symmetries: the symmetry that augmentation applied to each sample.
         lost: samples of this batch that were damaged (`on_error="skip"`).
         arena: the memory of all octrees.
         slots: what lies where in it.

@@ -273,9 +273,9 @@ def check_meaning(where: str, manifest: Mapping[str, Any], first: str, other: Ma
 
     Args:
         where: the data set.
-        manifest: its resolved manifest.
-        first: the other one.
-        other: its manifest.
+        manifest: resolved manifest of the data set.
+        first: the other data set.
+        other: resolved manifest of the other data set.
 
     Raises:
         OcnfError: names the field and both values.

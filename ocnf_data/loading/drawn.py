@@ -27,7 +27,7 @@ class DrawnDataset(EpochDataset):
         batch_size: samples a batch, for each rank.
         rank: number of this process, from 0, or None, with the same meaning as for `ShardDataset`.
         world_size: number of processes that train together, or None.
-        on_error: "raise", or "skip" for another draw in the place of a sample that cannot be had.
+        on_error: "raise", or "skip" for another draw in place of a sample that cannot be read or made.
         uneven: "repeat" or "exact", as for `ShardDataset`.
         drop_last: leave out the last, incomplete round of batches.
         augment: "none", "rotations", "flips" or "all".

@@ -1,4 +1,4 @@
-"""Samples of an epoch that could not be had: counted by all worker processes together, and bounded."""
+"""Samples of an epoch that could not be read or made, counted by all workers together, and their limit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class LostSamples:
 
     Args:
         n_samples: samples that there are.
-        limit: how many of them may be lost in one epoch.
+        limit: number of samples that may be lost in one epoch.
         what: what is lost, in the plural, for messages.
         where: who says so.
         fix: what to do about too many.

@@ -80,7 +80,7 @@ class Partition:
         n_samples: N, at least 1.
         batch_size: B, samples a batch.
         rank, world_size: this process among those that train together.
-        uneven: what becomes of the tail.
+        uneven: what becomes of the last samples.
     """
 
     n_samples: int
@@ -103,7 +103,7 @@ class Partition:
             raise OcnfError("drop_last leaves nothing", code="empty", where="ShardDataset",
                             found=f"{self.n_samples} samples",
                             expected=f"at least {self.world_size * self.batch_size}",
-                            fix="lower the batch size, or let the tail be filled (drop_last=False)")
+                            fix="lower the batch size, or fill the last batch (drop_last=False)")
 
     @property
     def n_batches(self) -> int:
@@ -129,7 +129,7 @@ class Partition:
         return places % self.n_samples, places >= self.n_samples
 
     def spares(self, step: int) -> Iterator[int]:
-        """Places whose samples may stand in for lost ones of batch `step`: what follows it in the order, and
+        """Places whose samples may replace lost ones of batch `step`: what follows it in the order, and
         on from the start, without the batch's own. The same for any number of workers.
         """
         own = set(self.places(step)[0].tolist())

@@ -13,13 +13,13 @@ class ShardSupply:
     """Samples of shards; see `loading.supply.Supply`.
 
     Number i of an epoch is the i-th sample of the order that `ShardDataset` would meet; behind the last one
-    the order goes on from its start. The k-th stand-in for a sample is the k-th behind it.
+    the order goes on from its start. The k-th replacement of a sample is the k-th behind it.
 
     Args:
         catalogue: the samples.
         seed: seed of the samples' order.
         buffer: samples in the window that is shuffled.
-        shuffle: whether it is.
+        shuffle: whether the samples are shuffled.
         checksum: SHA-256 of the data sets, as `ShardDataset.checksum` gives it.
     """
 

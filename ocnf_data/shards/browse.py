@@ -25,7 +25,7 @@ class StoredSample:
 
     Attributes:
         reader: reader of the shard that holds the sample.
-        position: its number in the shard.
+        position: number of the sample in the shard, from 0.
         entry: what the index says of it.
     """
 

@@ -112,7 +112,7 @@ class SplitCatalogue:
     """The N samples of the S shards of a split.
 
     Attributes:
-        split: its name.
+        split: name of the split.
         samples: (S,) uint32, samples of each shard.
         keys: keys of all samples, shard by shard.
         categories: each name once, in the order of first use.
@@ -222,7 +222,7 @@ def load_catalogue(store: Store, info: DatasetInfo, split: str) -> SplitCatalogu
 
     Args:
         store: the data set's folder.
-        info: its `dataset.json`.
+        info: `dataset.json` of the data set.
         split: one of `info.splits`.
 
     Raises:

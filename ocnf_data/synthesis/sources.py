@@ -25,8 +25,8 @@ class Pool:
 
     Attributes:
         weight: how often it is drawn from, relative to the others.
-        items: its mesh files.
-        categories: categories of its procedural shapes.
+        items: mesh files of the source.
+        categories: categories of the procedural shapes of the source.
     """
 
     weight: float

@@ -63,7 +63,7 @@ def choose_weight(cases: Iterable[Case], weights: Sequence[float] = CANDIDATE_WE
 
     Args:
         cases: models of one resolution; all are held in memory, at 256^3 some 25 MB each.
-        weights: at least 6, ascending, above 0.
+        weights: at least 6 weights, ascending, above 0.
         iterations: upper limit of each solve, as for `tvl1`.
         tolerance: relative gap at which each solve stops, as for `tvl1`.
         progress: called as (weight, model, MAD in mm) after each solve.

@@ -50,7 +50,7 @@ class Solution:
         energy: E(u) over all voxels of the grid.
         gap: (E(u) - D(p)) / E(u), which bounds (E(u) - min E) / E(u); 0 where E(u) is 0. Rounding can make
             it negative by about 1e-8.
-        iterations: how many were run.
+        iterations: number of iterations that were run.
     """
 
     state: State

@@ -14,10 +14,10 @@ class Table:
     """A table of figures, a line a resolution and method.
 
     Attributes:
-        title: what it is of.
-        head: above the columns, after grid and method.
+        title: title of the table.
+        head: headings of the columns after grid and method.
         cells: makes the cells of a line out of a summary.
-        legend: below.
+        legend: text below the table.
         with_ceilings: whether the ground truth has a line too.
     """
 

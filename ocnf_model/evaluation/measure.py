@@ -43,7 +43,7 @@ class Row:
         key, category: key and category of the model.
         variant: name of the input variant.
         resolution: voxels along each axis.
-        method: its label.
+        method: label of the method.
         mad_mm: over all voxels; NaN where prediction or ground truth is occupancy.
         iou, precision, recall: measures of the occupied voxels (TSDF < 0, probability >= 0.5), 0 to 1.
         seconds: time from the encoded input to the reconstruction; NaN for what is read from the data set.

@@ -28,7 +28,7 @@ class DatasetFacts:
         variants: the encodings of each input variant.
         is_occupancy: whether the ground truth is occupancy, not TSDF.
         truncation_voxels: tau in voxels of any resolution.
-        taus: the same in metres, by resolution.
+        taus: tau in metres, by resolution.
         extent: size of the cube in metres.
         source: kind of what the data set was made of: `shapes`, `folder`, ...
     """
@@ -70,7 +70,7 @@ class VariantPlan:
     """What a variant is evaluated with.
 
     Attributes:
-        variant: its name.
+        variant: name of the input variant.
         sources: the stored encoding that each method takes.
         seen: the stored encoding that tells best which voxels the inputs see; None where none does.
     """

@@ -39,8 +39,8 @@ class Origins:
 
         Args:
             model: the model to make again.
-            truth: its ground truth at the finest resolution, negative inside.
-            longest: metres; a thickness above is infinite.
+            truth: the model's ground truth at the finest resolution, negative inside.
+            longest: largest thickness in metres; one above is infinite.
 
         Raises:
             OcnfError: the mesh is missing, or not the one that the sample was made of.

@@ -34,7 +34,7 @@ class Evaluation:
     """What an evaluation found.
 
     Attributes:
-        rows: one a model, variant, resolution and method.
+        rows: one row for each model, variant, resolution and method.
         summaries: their means, by category and over all.
         notes: what was left out or is approximate, a clause each.
         figures: PNG by file name.
@@ -82,7 +82,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         weights: TV-L1's, a file that `run_choose_weight` wrote; None: RUN/tvl1.json if there is one, else
             `DEFAULT_WEIGHTS`, and a note says so.
         limit: the first so many models only.
-        n_figures: how many models are drawn, each of another category.
+        n_figures: number of models that are drawn, each of another category.
         up: which axis of the models points up, y or z.
         console: where the tables are printed.
         meshes: the folder that the data set's meshes were read from: surfaces are then measured against the
@@ -127,9 +127,9 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         resolutions: resolutions of the network's levels; None: the data set's, from the lowest on.
         split: which split of the data set.
         methods: `ours`, `volfus`, `tvl1`; None: all that the data set has the inputs for.
-        weights: TV-L1's, a file; None: `DEFAULT_WEIGHTS`.
+        weights: file with TV-L1's weights; None: `DEFAULT_WEIGHTS`.
         limit: the first so many models only.
-        n_figures: how many models are drawn.
+        n_figures: number of models that are drawn.
         up: which axis of the models points up.
         console: where the progress is shown; None shows none.
         title: title of the report.

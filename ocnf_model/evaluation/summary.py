@@ -28,7 +28,7 @@ class Summary:
 
     Attributes:
         category: `all` for the mean over all models, whatever their category.
-        n_models: how many.
+        n_models: number of models.
         mad_mm, iou, precision, recall: means of the fields of `Row` with these names.
         seconds: the median, which a first call that compiles does not move; NaN where nothing ran.
         ratio: the MAD divided by VolFus's on the same models, with its interval; NaN where either is not

@@ -37,7 +37,7 @@ class Reference:
         Args:
             truth: TSDF / tau, or 1 - 2 occupancy, at the finest resolution that there is.
             extent: size of the cube in metres.
-            longest: metres; a thickness above is infinite.
+            longest: largest thickness in metres; one above is infinite.
         """
         surface = Surface.of_octree(truth, extent)
         samples = surface.samples
@@ -54,7 +54,7 @@ class Reference:
             views: all views of the rig, without noise.
             truth: the ground truth, which the thickness is measured in, as for `of_truth`.
             extent: size of the cube in metres.
-            longest: metres; a thickness above is infinite.
+            longest: largest thickness in metres; one above is infinite.
         """
         many = sample_triangles(triangles, _FOR_DISTANCES)
         many = many.chosen(visible(many.points, views, extent / max(truth.shape)))

@@ -76,7 +76,7 @@ def mad_by_region(prediction: OctreeBatch, truth: OctreeBatch, seen: OctreeBatch
 
     Args:
         prediction: TSDF / tau; clipped to [-1, 1] here.
-        truth: the same.
+        truth: TSDF / tau, also clipped.
         seen: 1 where an input view counts, 0 elsewhere; of the same resolution, on a structure of its own.
         tau: truncation distance in metres.
     """

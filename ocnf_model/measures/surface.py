@@ -48,7 +48,7 @@ def sample_triangles(triangles: npt.NDArray[np.floating], n: int = N_SAMPLES, se
 
     Args:
         triangles: (M, 3, 3), in metres.
-        n: how many; none where the area is 0.
+        n: number of points; none where the area is 0.
         seed: the same one gives the same points.
     """
     doubled = _doubled_areas(triangles)

@@ -32,8 +32,8 @@ class OctreeConv3d(nn.Module):
     """conv3d with padding 1 on the expanded volume, then the mean over each leaf; structure unchanged.
 
     Args:
-        in_channels, out_channels: at least 1.
-        bias: whether to add one.
+        in_channels, out_channels: numbers of channels, at least 1.
+        bias: whether to add a bias.
 
     Attributes:
         weight: (C_out, C_in, 3, 3, 3), axes z, y, x; He initialised, for a ReLU to follow.

@@ -42,7 +42,7 @@ class FusedMesh:
     Attributes:
         vertices: (N, 3) metres.
         faces: (M, 3), looking outwards.
-        region: what was fused.
+        region: the part of the scan that was fused.
         resolution: voxels along the cube.
         seconds: fusion and reconstruction, without reading the scan and without marching cubes.
         notes: what the reader left out or assumed, and what it warns of.

@@ -31,7 +31,7 @@ class Reporter:
             made.
         unit: unit of the MAD, ` mm` or nothing.
         active: whether to show and write anything.
-        console: where to.
+        console: where the progress is shown.
     """
 
     def __init__(self, folder: Path, level: int, resolution: int, steps: int, unit: str, active: bool,

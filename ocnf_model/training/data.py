@@ -56,7 +56,7 @@ class StoredData:
     """A data set that `generate` made, with both splits.
 
     Args:
-        url: its folder or fsspec URL.
+        url: folder or fsspec URL of the data set.
         val: a data set to validate with in its place.
     """
 

@@ -35,7 +35,7 @@ class EpochRow:
     """A line of the curves.
 
     Attributes:
-        level, epoch: from 1.
+        level, epoch: numbers of level and epoch, from 1.
         resolution: voxels along each axis.
         steps: number of optimiser steps in this level so far.
         train_loss: mean over the epoch's samples, each at the weights when it was met.

@@ -65,7 +65,7 @@ class Validator:
 
         Args:
             prediction: the level's reconstruction of the example, in float32.
-            example: its last input is of the level's resolution.
+            example: inputs and ground truth; the last input has the level's resolution.
         """
         is_tsdf = self._output is Output.TSDF
         overlap = tsdf_overlap if is_tsdf else occupancy_overlap

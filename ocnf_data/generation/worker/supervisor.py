@@ -72,7 +72,7 @@ class ChildDiedError(Exception):
 
     Attributes:
         code: `crash` or `timeout`; `idle` where it had ended by itself because there was no work.
-        stage: where the item stood.
+        stage: name of the stage that the item was in.
     """
 
     def __init__(self, code: str, stage: str, message: str) -> None:

@@ -64,7 +64,7 @@ class Listing:
 
     Attributes:
         frames: the frames that have depth and pose.
-        unit: metres a unit of the stored depth.
+        unit: length in metres of a unit of the stored depth.
         direction, axes: direction of the pose matrices, and axes of the cameras in them.
         cube: (centre, side) in metres of the space that the scan is about, where the format says.
         notes: a sentence for each thing left out or assumed.

@@ -24,7 +24,7 @@ def to_camera(poses: F64, names: Sequence[object], direction: Direction, axes: A
         names: what to call each one in an error.
         direction: what the matrices do with a point.
         axes: axes of the cameras, on the camera's side of the matrix.
-        scale: metres a unit of the translations.
+        scale: length in metres of a unit of the translations.
 
     Raises:
         OcnfError: a matrix that is not finite, or not rigid, by its name.

@@ -47,7 +47,7 @@ class Scan:
         cube: (centre (x, y, z), side) in metres of the space that the views were made for, where it is known.
         notes: what was left out or assumed, a sentence each.
         warnings: what looks wrong, with figures, a sentence each.
-        colour: where the scan has it.
+        colour: colour images, where the scan has them.
         format: the name of the format it was read from.
         agreement: how far neighbouring frames agree; None where this was not measured.
     """

@@ -14,7 +14,7 @@ def choose(n: int, frames: str | int | None = None, every: int = 1) -> list[int]
     """Positions, ascending, of the chosen among n frames in the order of the scan.
 
     Args:
-        n: how many there are.
+        n: number of frames in the scan.
         frames: None: all. A number: that many, spread evenly from the first to the last, all where there are
             fewer. `START:STOP` or `START:STOP:STEP`: as Python's slices, STOP left out, either may be empty.
         every: take only every n-th of the frames that `frames` chooses.
