@@ -102,7 +102,7 @@ def generate_command(
 
 
 @app.command("verify")
-@stoppable(_err, "nothing was changed, and the same command begins anew")
+@stoppable(_err, "nothing was changed, and the same command starts again")
 def verify_command(folder: Folder, jobs: Jobs) -> None:
     """Check every byte, count and octree of a data set.
 
@@ -162,7 +162,7 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
         _out.print(generate(manifest, folder, meshes, jobs).table())
     else:
         for name in restore_catalogues(folder):
-            _out.print(f"{name} was written anew from the indices", highlight=False)
+            _out.print(f"{name} was written again from the indices", highlight=False)
     if not report.ok:
         with _Bar("verifying") as progress:
             left = verify(folder, jobs, progress).problems
@@ -224,7 +224,7 @@ def doctor_command() -> None:
 
 
 @app.command("watertight")
-@stoppable(_err, "every mesh that is written is whole, and the same command makes all of them anew")
+@stoppable(_err, "every mesh that is written is whole, and the same command makes all of them again")
 def watertight_command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],

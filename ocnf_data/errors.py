@@ -6,7 +6,7 @@ from typing import Any
 
 
 class OcnfError(Exception):
-    """Bad input, a damaged file, a setting that does not fit: anything that a user can put right.
+    """Bad input, a damaged file, a setting that does not fit: anything that a user can correct.
 
     The message is a sentence built from the parts that are given:
 

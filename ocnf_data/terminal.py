@@ -32,7 +32,7 @@ def stoppable(console: Console, sentence: str) -> Callable[[Callable[P, None]], 
     """Decorate a command: where it is stopped, it says in one line what is kept and how to go on.
 
     Args:
-        console: where to say it.
+        console: where the sentence is printed.
         sentence: what to say after `stopped`, with the command's arguments in braces; an interrupt that has
             words of its own is given with those.
     """

@@ -37,7 +37,7 @@ Counted = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 
 
 class Architecture(Strict):
-    """What a network is, but for its number of levels: the arguments of `OctNetFusion`."""
+    """What a network is, except for its number of levels: the arguments of `OctNetFusion`."""
 
     encoding: Encoding
     join: Join
@@ -51,7 +51,7 @@ class Architecture(Strict):
 
     @classmethod
     def of(cls, source: object) -> Architecture:
-        """That of a network, or of settings: anything that has these fields as attributes."""
+        """The architecture of a network, or of settings: anything that has these fields as attributes."""
         return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
     def kinds(self, level: int) -> dict[str, TensorKind]:
@@ -69,8 +69,8 @@ class TrainingData(Strict):
     """What was trained on: enough to refuse data whose values mean something else.
 
     Attributes:
-        name: of the data set.
-        checksum: of its `dataset.json`.
+        name: name of the data set.
+        checksum: SHA-256 of its `dataset.json`.
         variant: name of the inputs.
         n_train, n_val: samples.
         extent: edge length of the cube in metres.
@@ -94,12 +94,13 @@ class Header(Strict):
     """What a checkpoint says about itself.
 
     Attributes:
-        schema_version: of the format.
-        level: from 1.
+        schema_version: version of the format.
+        level: number of the level, from 1.
         resolution: voxels along each axis.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
-        metrics: on the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
-        settings: of the run, those that the weights depend on.
+        metrics: figures of the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and
+            `train_loss`.
+        settings: the settings of the run that the weights depend on.
         built_on: SHA-256 of the file of the level before.
         torch: version of PyTorch.
     """
@@ -117,7 +118,7 @@ class Header(Strict):
     torch: str
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """The header as JSON values."""
         return self.model_dump(mode="json", by_alias=True)
 
 
@@ -127,8 +128,8 @@ class TrainedRun:
 
     Attributes:
         path: the folder.
-        network: in evaluation mode, on the CPU; it has the levels that are trained.
-        headers: of each level, coarse to fine.
+        network: the trained levels, in evaluation mode, on the CPU.
+        headers: header of each level's checkpoint, coarse to fine.
     """
 
     path: Path
@@ -195,7 +196,7 @@ def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
 
     Args:
         path: a run's folder, or `pretrained`.
-        levels: how many are needed; None takes what there is.
+        levels: number of levels that are needed; None takes all that exist.
 
     Raises:
         OcnfError: none is there, or fewer than asked for; or they are damaged or do not go together.
@@ -228,7 +229,7 @@ def load_run(path: str | Path, levels: int | None = None) -> OctNetFusion:
 
 
 def run_path(path: str | Path) -> Path:
-    """Where a run is, or would be; of `pretrained`, the checkpoints that come with the package."""
+    """The folder of a run, existing or not; for `pretrained`, the checkpoints that come with the package."""
     return _PRETRAINED_FOLDER if str(path) == PRETRAINED else Path(path).expanduser()
 
 

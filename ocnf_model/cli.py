@@ -47,7 +47,7 @@ def train_command(
     levels: Annotated[int | None, typer.Option(min=1, help="Resolutions, coarse to fine. [3]")] = None,
     device: Device = "auto",
     meshes: Annotated[Path | None, typer.Option(
-        metavar="ROOT", help="With a manifest: the folder that its mesh paths are relative to.")] = None,
+        metavar="ROOT", help="The folder that a manifest's mesh paths are relative to.")] = None,
     val: Annotated[str | None, typer.Option(
         metavar="DIR", help="Data set to validate with. [DATA's own; a manifest's is made in RUN/validation]",
     )] = None,
@@ -126,7 +126,7 @@ def run_info_command(run: Run) -> None:
 
 
 @app.command("evaluate")
-@stoppable(_err, "tables are written at the end only, and the same command begins anew")
+@stoppable(_err, "tables are written at the end only, and the same command starts again")
 def evaluate_command(
     run: Run,
     data: Data,
@@ -160,7 +160,7 @@ def evaluate_command(
 
 
 @app.command("choose-weight")
-@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
+@stoppable(_err, "{out} is written at the end only, and the same command starts again")
 def choose_weight_command(
     data: Data,
     out: Annotated[Path, typer.Option(
@@ -172,7 +172,7 @@ def choose_weight_command(
     models: Annotated[int | None, typer.Option(
         min=1, help="Number of models to use. [20 up to 64³, 10 at 128³, 5 above]")] = None,
     weights: Annotated[str | None, typer.Option(
-        metavar="X,...", help="At least 6, ascending; more are added where the best is at an end. "
+        metavar="X,...", help="At least 6 weights, ascending; more are added where the best is at an end. "
                               "[0.4,0.64,1,1.6,2.5,4,6.4]")] = None,
 ) -> None:
     """Choose TV-L1's weight by cross-validation: the least MAD, for each resolution and input variant."""
@@ -186,7 +186,7 @@ def choose_weight_command(
 
 
 @app.command("fuse")
-@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
+@stoppable(_err, "{out} is written at the end only, and the same command starts again")
 def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(
@@ -211,7 +211,7 @@ def fuse_command(
     depth_scale: Annotated[float | None, typer.Option(
         help="Units of the stored depth in a metre. [the format's]")] = None,
     intrinsics: Annotated[str | None, typer.Option(
-        metavar="FX,FY,CX,CY", help="Of the depth maps, pixels. [the scan's]")] = None,
+        metavar="FX,FY,CX,CY", help="Intrinsics of the depth maps, in pixels. [the scan's]")] = None,
     poses: Annotated[str | None, typer.Option(
         metavar="DIRECTION", help="camera-to-world or world-to-camera. [the format's]")] = None,
     pose_scale: Annotated[float, typer.Option(

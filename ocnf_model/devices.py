@@ -28,7 +28,7 @@ def pick_device(name: str) -> torch.device:
 
 
 def wait_for(device: torch.device) -> None:
-    """Let all that runs on a device come to an end, so that a clock means something."""
+    """Wait until all that runs on a device is done, so that times can be measured."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
@@ -40,7 +40,7 @@ def memory_errors(where: str, fix: str) -> Iterator[None]:
         yield
     except (MemoryError, RuntimeError) as error:
         text = str(error)
-        # PyTorch's allocator for the CPU has no exception of its own: these are its words.
+        # PyTorch's allocator for the CPU has no exception class: these are the texts of its errors.
         starved = isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in text \
             or "not enough memory" in text
         if not starved:

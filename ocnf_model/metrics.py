@@ -18,7 +18,7 @@ def mad_mm(prediction: OctreeBatch, truth: OctreeBatch, tau: float) -> Tensor:
 
     Args:
         prediction: TSDF / tau; clipped to [-1, 1] here.
-        truth: the same.
+        truth: TSDF / tau, also clipped.
         tau: truncation distance in metres.
     """
     pair = Pair.of(prediction, truth)

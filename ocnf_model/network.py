@@ -81,9 +81,9 @@ class LevelOutput:
     """What a level makes.
 
     Attributes:
-        features: (L, channels[0]) of the decoder.
-        raw: (L, 1) of the head: TSDF / tau, or logits of occupancy. Losses take this.
-        output: which of the two.
+        features: (L, channels[0]) features of the decoder.
+        raw: (L, 1) result of the head: TSDF / tau, or logits of occupancy. Losses take this.
+        output: which of the two `raw` is.
     """
 
     features: OctreeBatch
@@ -110,13 +110,13 @@ class Level(nn.Module):
     | head    | r          | 1x1x1 or 3x3x3 16 -> 1, no ReLU| 17 for TSDF, 433 for occupancy|
 
     Args:
-        in_channels: of the input.
-        channels: of the three resolutions.
-        join: see `Join`.
-        output: see `Output`.
+        in_channels: number of input channels.
+        channels: number of channels at each of the three resolutions.
+        join: how the decoder takes in the encoder's features, a `Join`.
+        output: what is reconstructed, an `Output`.
         context: width of the `DenseContext` before the bottom's convolutions; 0 for none (the paper).
         residual: whether a convolution that keeps the number of channels adds its result to its input.
-        normalise: see `Normaliser`.
+        normalise: what comes between a convolution and its ReLU, a `Normaliser`.
     """
 
     def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
@@ -186,13 +186,14 @@ class OctNetFusion(nn.Module):
     (torch.Size([2, 1, 32, 32, 32]), torch.Size([2, 1, 64, 64, 64]))
 
     Args:
-        encoding: of the inputs, an `Encoding`.
-        levels: 1 or more; each doubles the resolution.
+        encoding: encoding of the inputs, an `Encoding`.
+        levels: number of levels, 1 or more; each doubles the resolution.
         join: `concat` (the paper) or `add`.
         carry: `features` (the paper) or `reconstruction`.
         output: `tsdf` or `occupancy`.
-        channels: of the three resolutions within a level; smaller ones make a smaller network.
-        band: of `split_surface`, in fine voxels.
+        channels: number of channels at the three resolutions within a level; smaller numbers make a smaller
+            network.
+        band: how far from the surface `split_surface` splits, in fine voxels.
         context: width of the first level's `DenseContext`, which looks at the whole volume; 0 for none (the
             paper). Later levels get what it finds with the features that are carried up.
         residual: whether convolutions that keep the number of channels add to their input; the paper's do
@@ -245,10 +246,10 @@ class OctNetFusion(nn.Module):
         return [result.reconstruction for result in self.run(inputs)]
 
     def run(self, inputs: Sequence[OctreeBatch], frozen: int = 0) -> list[LevelOutput]:
-        """As `forward`, with all that each level makes.
+        """The forward pass, with all that each level makes.
 
         Args:
-            inputs: as for `forward`.
+            inputs: encoded views, an `OctreeBatch` for each level, coarse to fine.
             frozen: levels before this one run without gradients: to train level l (from 0) alone, pass
                 `inputs[: l + 1]` and `frozen=l` and take the last output.
         """

@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 
 class TensorKind(NamedTuple):
-    """What a tensor is, but for its values: the dtype as safetensors writes it (`F32`), and the shape."""
+    """What a tensor is, except for its values: the dtype as safetensors writes it (`F32`), and the shape."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -71,10 +71,10 @@ def read_header(path: Path) -> dict[str, Any]:
 
 
 def read_kinds(path: Path) -> dict[str, TensorKind]:
-    """The kind of each tensor, by name; of the values nothing is read.
+    """The kind of each tensor, by name; no values are read.
 
     Raises:
-        OcnfError: as for `read_header`.
+        OcnfError: the file cannot be read or is damaged, as for `read_header`.
     """
     with _opened(path) as file:
         names = _names(path, file)

@@ -185,7 +185,7 @@ MAKES_SAMPLES = ("meshes/formats", "meshes/read.py", "meshes/topology.py", "rend
                  "generation/sample.py", "generation/worker", "files/storage.py", "shards/writer.py")
 BUILT_IN = {"excluded", "invalid"}
 INTERNAL = {"idle"}
-"""Of a child process that ended for want of work; it never leaves the supervisor."""
+"""A child process ended because there was no work; the error never leaves the supervisor."""
 
 
 def sources(*folders: str) -> Iterator[Path]:

@@ -83,9 +83,9 @@ def children(pid: int) -> list[int]:
 @SIGNALS
 @pytest.mark.parametrize(("package", "place", "arguments", "sentence"), [
     ("ocnf_data", "ocnf_data.verify.verify:check_shard", ["verify", "DATA", "--jobs", "1"],
-     "nothing was changed, and the same command begins anew"),
+     "nothing was changed, and the same command starts again"),
     ("ocnf_data", "ocnf_data.verify.verify:check_shard", ["verify", "DATA", "--jobs", "2"],
-     "nothing was changed, and the same command begins anew"),
+     "nothing was changed, and the same command starts again"),
     ("ocnf_data", "ocnf_data.verify.verify:check_shard", ["repair", "DATA", "--jobs", "1"],
      "what was set aside is in DATA/quarantine, and the same command goes on"),
     ("ocnf_data", "ocnf_data.verify.summary:describe", ["info", "DATA"], "nothing was changed"),

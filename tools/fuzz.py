@@ -224,7 +224,7 @@ class Checkpoints:
             (self._folder / name).write_bytes(blob)
 
     def read_state(self) -> None:
-        """As a run that is resumed does."""
+        """Read the state as a run that is resumed does."""
         from ocnf_model.training.train_state import check_progress, check_step, load_state, restore
 
         state, tensors = load_state(self._folder)

@@ -56,10 +56,10 @@ def load(folder: Path, resolution: int, n_frames: int, truncation: float) -> Seq
     """Fuse all frames, and render the surface into `n_frames` of them.
 
     Args:
-        folder: of a scan.
+        folder: folder of a scan.
         resolution: voxels along the cube around all that was measured.
         n_frames: evenly spread.
-        truncation: of the fusion, as a multiple of a Kinect's step at the farthest depth.
+        truncation: truncation of the fusion, as a multiple of a Kinect's step at the farthest depth.
     """
     scan = read_scan(folder)
     pyramid = DepthPyramid(scan.views)
@@ -211,8 +211,8 @@ def main(
     scans: Annotated[list[Path], typer.Argument(help="Folders of posed depth.")],
     out: Annotated[Path, typer.Option(help="The picture.")] = Path("sensor.png"),
     resolution: Annotated[int, typer.Option(help="Voxels along the fused cube, a multiple of 8.")] = 384,
-    frames: Annotated[int, typer.Option(min=1, help="To compare, evenly spread.")] = 25,
-    truncation: Annotated[float, typer.Option(help="Of the fusion, in steps at the farthest depth.")] = 3.0,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames to compare, evenly spread.")] = 25,
+    truncation: Annotated[float, typer.Option(help="Truncation, in steps at the farthest depth.")] = 3.0,
 ) -> None:
     """Draw the statistics of real sequences and of the sensor model."""
     try:

@@ -110,7 +110,7 @@ def main(
     data: Annotated[str, typer.Argument(help="The data set: a folder or URL.")],
     key: Annotated[list[str] | None, typer.Option(help="Draw this sample; may be repeated.")] = None,
     random_: Annotated[int, typer.Option("--random", help="Draw this many samples at random.")] = 0,
-    seed: Annotated[int, typer.Option(help="For --random.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the choice by --random.")] = 0,
     meshes: Annotated[Path | None, typer.Option(help="The folder that the meshes were read from.")] = None,
     variant: Annotated[str | None, typer.Option(help="Which input, default the first.")] = None,
     encoding: Annotated[Encoding | None, typer.Option(help="Which encoding, default its first.")] = None,

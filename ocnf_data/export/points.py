@@ -44,8 +44,8 @@ def surface_points(tsdf: GridOctree, n: int, random: np.random.Generator,
 
     Args:
         tsdf: 1 channel, TSDF / tau.
-        n: how many.
-        random: what they are drawn with.
+        n: number of points.
+        random: random generator that the points are drawn with.
         extent: side of the cube in metres; the origin is its centre.
 
     Raises:
@@ -95,8 +95,8 @@ def sdf_samples(tsdf: GridOctree, n: int, random: np.random.Generator, extent: f
 
     Args:
         tsdf: 1 channel, TSDF / tau.
-        n: how many points.
-        random: what they are drawn with.
+        n: number of points.
+        random: random generator that the points are drawn with.
         extent: side of the cube in metres.
         truncation: tau in metres.
 

@@ -45,7 +45,7 @@ _OF_THE_RUN = frozenset({"disk_full", "missing_extra", "permission", "unreachabl
 
 
 class Exported(NamedTuple):
-    """What came of one sample.
+    """The outcome of one sample.
 
     Attributes:
         key, category: the sample's; of one whose shard cannot be read, its shard and number, and nothing.
@@ -117,11 +117,11 @@ def export_dataset(
         out: where the files go, a folder or fsspec URL.
         format: `dense`, `points`, `mesh` or `vdb`.
         splits: names of the splits; None is all.
-        limit: at most so many samples of each split, from its beginning.
+        limit: largest number of samples of each split, from its beginning; None is all.
         resolution: voxels along a side; None is the largest.
-        variant: of the inputs, for dense, mesh and vdb; None is all.
-        encoding: of the inputs, for dense; None is all.
-        points: of each kind and sample, for points.
+        variant: the input variant to write, for dense, mesh and vdb; None is all.
+        encoding: the input encoding to write, for dense; None is all.
+        points: number of points of each kind and sample, for points.
         coordinates: `metres`, `unit-cube` or `unit-sphere`; None is what the readers of each file expect.
         stored: dense volumes in the dtype on disk instead of float32.
         jobs: worker processes.

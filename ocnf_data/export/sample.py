@@ -21,7 +21,7 @@ _SPHERE_MARGIN = 1.03  # DeepSDF's own: the farthest vertex lies at 1 / 1.03
 
 @dataclass(frozen=True)
 class ExportFrame:
-    """From metres to the coordinates of a file and on to those of the mesh that the sample was made of.
+    """Maps metres to the coordinates of a file, and these to the coordinates of the sample's mesh.
 
     Attributes:
         factor: coordinates in the file are metres times this.
@@ -40,7 +40,7 @@ class ExportSample:
 
     Attributes:
         stored: the sample.
-        settings: see `ExportSettings`.
+        settings: which files are written, and how.
     """
 
     stored: StoredSample
@@ -100,7 +100,7 @@ class ExportSample:
 
     @property
     def tsdf_inputs(self) -> dict[str, str]:
-        """Those of `inputs` that are a TSDF: plain fusion of the noisy views, by variant."""
+        """The members of `inputs` that are a TSDF, the plain fusion of the noisy views, by variant."""
         return {name.rpartition("-")[0]: member for name, member in self.inputs.items()
                 if parse_member(member)[1] is Encoding.TSDF}
 
@@ -134,8 +134,8 @@ class ExportSample:
         """The frame that the settings ask for, or the default.
 
         Args:
-            default: where the settings say nothing.
-            radius: of the surface around the cube's centre, metres.
+            default: coordinates to use where the settings name none.
+            radius: radius of the surface around the cube's centre, metres.
         """
         chosen = self.settings.coordinates or default
         factor = {Coordinates.METRES: 1.0, Coordinates.UNIT_CUBE: 1 / self.extent,

@@ -31,9 +31,9 @@ class Coordinates(StrEnum):
     METRES = "metres"
     """The cube of the data set, `normalise.extent` metres (3 m unless the manifest says otherwise) a side."""
     UNIT_CUBE = "unit-cube"
-    """That cube shrunk to [-0.5, 0.5], as Occupancy Networks have it."""
+    """The cube scaled to [-0.5, 0.5], as Occupancy Networks have it."""
     UNIT_SPHERE = "unit-sphere"
-    """Shrunk, sample by sample, until the surface fits a sphere of radius 1 / 1.03, as DeepSDF has it."""
+    """The cube scaled, sample by sample, until the surface fits a sphere of radius 1/1.03, as in DeepSDF."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ExportSettings:
     """What is written of each sample.
 
     Attributes:
-        format: see `ExportFormat`.
+        format: the format of the files, an `ExportFormat`.
         resolution: voxels along a side, one of the data set's; None is the largest.
         variant: the input variant to write; None is all. Points take no inputs.
         encoding: the input encoding to write; None is all. Meshes and VDB grids take `tsdf` only.

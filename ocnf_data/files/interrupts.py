@@ -60,8 +60,8 @@ _listener = _Listener()
 
 
 def listen() -> None:
-    """From now on SIGINT and SIGTERM raise `KeyboardInterrupt` in this process's main thread."""
-    _listener.__init__()  # type: ignore[misc]  # anew, where a process calls several commands
+    """Let SIGINT and SIGTERM raise `KeyboardInterrupt` in this process's main thread from now on."""
+    _listener.__init__()  # type: ignore[misc]  # again, where a process calls several commands
     _listener.process = os.getpid()
     for number in _SIGNALS:
         signal.signal(number, _listener.hear)
@@ -111,7 +111,7 @@ def joblib_results(start: Callable[[], Generator[Value, None, None]]) -> Iterato
 
 
 def ignore_interrupts() -> None:
-    """In a worker process: what Ctrl-C means is for the process to say that started it."""
+    """Let a worker process ignore Ctrl-C: the process that started it decides what is done then."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

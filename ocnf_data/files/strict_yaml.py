@@ -74,7 +74,7 @@ def read_yaml(path: str | os.PathLike[str], *, tuples: bool = False) -> Any:
     """The one document in a YAML file.
 
     Args:
-        path: of the file.
+        path: path of the file.
         tuples: accept the tag `!!python/tuple`, which other programs write; it builds nothing but a tuple.
 
     Raises:

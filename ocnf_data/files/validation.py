@@ -47,7 +47,7 @@ def refused(
         what: what is wrong, as a clause.
         found: the offending value, where it is only a part of the field's.
         expected: what is allowed.
-        at: where below the field, such as `[6]` or `.path`.
+        at: place below the field, such as `[6]` or `.path`.
     """
     context = {"what": what, "expected": expected, "at": at, "part": found is not None, "found": found}
     return PydanticCustomError("refused", "{what}", context)
@@ -68,7 +68,7 @@ def _some(value: tuple[_T, ...]) -> tuple[_T, ...]:
 
 
 NotEmpty = AfterValidator(_some)
-"""Refuses the empty tuple. (`min_length` would complain of it wherever an item is refused.)"""
+"""Refuses the empty tuple. (`min_length` would report it whenever an item is refused.)"""
 
 
 def validate(model: type[M], data: Any, where: object) -> M:

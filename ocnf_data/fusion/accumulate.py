@@ -1,4 +1,4 @@
-"""Contributions of one view to the 64 voxels of a cell, and the values that come of them (SEMANTICS 2).
+"""Contributions of one view to the 64 voxels of a cell, and the values that result (SEMANTICS 2).
 
 A cell is evaluated in three passes: pixel and z of each voxel, the reads of the depth map, and the encoding's
 own rule. The first and last compile to vector code; kept in one loop with the reads, neither would, as the

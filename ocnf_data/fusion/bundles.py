@@ -35,10 +35,10 @@ class Rule(NamedTuple):
 
     Attributes:
         kind: what to accumulate, one of accumulate's TSDF, TDF_OCCUPANCY, HISTOGRAM, OCCUPANCY.
-        hidden_below: metres; a pixel with dist < hidden_below contributes nothing.
-        free_from: metres; a pixel with dist >= free_from says free.
+        hidden_below: distance in metres; a pixel with dist < hidden_below contributes nothing.
+        free_from: distance in metres; a pixel with dist >= free_from says free.
         truncation: tau in metres; for OCCUPANCY the threshold.
-        tolerance: of the split rule, in the units of the values.
+        tolerance: tolerance of the split rule, in the units of the values.
     """
 
     kind: int

@@ -22,7 +22,7 @@ FREE = 1
 SILHOUETTE = 2
 """Each voxel is either seen to be free or gets no contribution; none is near a surface."""
 SURFACE = 3
-"""Anything else."""
+"""All other cubes: a surface may be near some voxel."""
 EDGE = 4
 """Added to SILHOUETTE or SURFACE if a voxel may lie outside the image or behind the camera."""
 
@@ -76,9 +76,9 @@ def classify(footprint: F64, k: int, windows: F32, levels: I64, size: tuple[int,
     """Class of one view for cube `k` of a footprint (6, 8).
 
     Args:
-        footprint: of that view, by `footprints`.
-        k: which of the eight cubes.
-        windows: that view's part of the DepthPyramid, (n_entries, 3).
+        footprint: (6, 8) footprint of the cubes in that view, by `footprints`.
+        k: number of the cube among the eight, 0 to 7.
+        windows: (n_entries, 3) part of the DepthPyramid that belongs to that view.
         levels: the DepthPyramid's.
         size: image size (H, W).
         rule: the encoding's; its two bounds decide.

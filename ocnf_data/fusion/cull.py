@@ -29,8 +29,8 @@ def cull(scene: Scene, rule: Rule, cubes: Eight, views: I32, n_free: int, footpr
         scene: the cameras and images.
         rule: the encoding's.
         cubes: the parts.
-        views: those open for the parent, in ascending order, each `2 * view + edge`.
-        n_free: how many more say FREE about all of the parent.
+        views: the views that are open for the parent, in ascending order, each `2 * view + edge`.
+        n_free: number of further views that say FREE about all of the parent.
         footprint: (6, 8), working space.
         open_views: (8, V) receives the open views of each part, like `views`.
         tally: (8, 3) receives N_FREE, N_OPEN and STATE of each part.

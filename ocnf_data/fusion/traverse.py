@@ -44,8 +44,8 @@ def fuse_row(scene: Scene, rule: Rule, constants: F32, root_z: int, root_y: int,
         scene: the cameras and images.
         rule: the encoding's.
         constants: (2, C) float32, the values of a free voxel and of an unseen one.
-        root_z: which row, in root cubes.
-        root_y: which row, in root cubes.
+        root_z: place of the row along z, counted in root cubes.
+        root_y: place of the row along y, counted in root cubes.
         trees: (GD, GH, GW, 2) uint64, zeros; the row's trees are written.
         counts: (GD, GH, GW) int32; the row's numbers of leaves are written.
 

@@ -32,7 +32,7 @@ def run_tasks(tasks: Sequence[ShardTask], jobs: int, backend: str) -> Finished:
     """Make all shards, yielding each when it is in its place.
 
     Args:
-        tasks: what is to do.
+        tasks: the shards to make.
         jobs: worker processes; one loky job runs in this process. A cluster named by DASK_SCHEDULER_ADDRESS
             or RAY_ADDRESS has the workers it has.
         backend: a name from `BACKENDS`.
@@ -146,7 +146,7 @@ BACKENDS: dict[str, Callable[[Sequence[ShardTask], int], Finished]] = {
 
 
 def _shard_or_error(task: ShardTask, driver: int) -> ShardDone | OcnfError:
-    """In a worker: errors go back as values, because each backend dresses an exception up differently."""
+    """Run a task in a worker; errors go back as values, because each backend wraps exceptions differently."""
     if os.getpid() != driver and threading.current_thread() is threading.main_thread():
         ignore_interrupts()  # the driver decides what becomes of the workers
         if os.getppid() == driver:  # loky; clusters look after their workers themselves

@@ -1,4 +1,4 @@
-"""What came of a run."""
+"""The outcome of a run."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Report:
     Attributes:
         out: the data set's URL.
         items: inputs that the manifest names.
-        samples: how many became samples.
+        samples: number of inputs that became samples.
         failures: why the others did not; their rows are in `failures.jsonl`, with those of `exclusions`.
         exclusions: inputs that were left out on purpose, such as a file listed twice.
         made: samples and failures of this run; the rest was there already.
-        bytes: of all shards.
+        bytes: size of all shards together, in bytes.
         seconds: this run's wall time.
         threshold: share of failed items that the manifest allows.
         warnings: sentences.

@@ -43,8 +43,8 @@ class Plan:
 
     Attributes:
         manifest: resolved, as plain values.
-        fingerprint: see `fingerprint`.
-        shards: by split, then number.
+        fingerprint: versions of the libraries and type of the CPU, by `generation.fingerprint`.
+        shards: the shards, sorted by split, then number.
         exclusions: inputs that are left out on purpose.
     """
 
@@ -104,7 +104,7 @@ def make_plan(manifest: Manifest, meshes: Path | None, splits: Sequence[str] = S
     """List, name, checksum and order the items of a manifest.
 
     Args:
-        manifest: what to make.
+        manifest: the manifest of the data set.
         meshes: the folder that mesh paths are relative to; None for procedural shapes.
         splits: which of them; the others are left out as if the manifest had none of their items.
 

@@ -25,12 +25,12 @@ class Item:
     Attributes:
         key: the sample's name, unique in the data set, [A-Za-z0-9_-]+.
         split: `train`, `val` or `test`.
-        category: as the manifest names it.
+        category: name of the category, as in the manifest.
         source: path of the mesh file relative to the meshes' root; `shapes:<category>:<split>:<index>` for a
             procedural shape.
-        sha256: of the mesh file when the plan was made; None for procedural shapes, and for a file that
-            could not be read then (which becomes a failure row, not an aborted run).
-        index: of a procedural shape within its category and split.
+        sha256: SHA-256 of the mesh file when the plan was made; None for procedural shapes, and for a file
+            that could not be read then (which becomes a failure row, not an aborted run).
+        index: number of a procedural shape within its category and split, from 0.
     """
 
     key: str
@@ -70,7 +70,7 @@ class Failure:
 
     Attributes:
         item: its key; for an input that never became an item (an exclusion), its source.
-        split, category, source: as in Item.
+        split, category, source: split, category and source of the item, as in `Item`.
         stage: where it stopped: `plan`, `start`, `read`, `normalise`, `render`, `fuse`, `encode`.
         code: `excluded`, `crash`, `timeout`, `out_of_memory`, `internal`, or the code of an OcnfError
             (`unreadable`, `empty`, `non_finite`, `degenerate`, `too_large`, `invisible`, ...).

@@ -22,7 +22,7 @@ class Remade:
     """The intermediate results that a data set does not keep.
 
     Attributes:
-        mesh: as read, in the file's coordinates.
+        mesh: the mesh as it was read, in the file's coordinates.
         vertices: (N, 3) float64 metres, normalised.
         views: all views of the rig, without noise.
         observed: the noisy views of each input variant, by its name.
@@ -40,7 +40,7 @@ def remake(
     """Read, normalise, render and add noise as generation did for the sample with these facts.
 
     Args:
-        manifest: of the data set.
+        manifest: the manifest of the data set.
         facts: the sample's `json` member.
         meshes: the folder of the meshes; None for procedural shapes.
 

@@ -64,12 +64,12 @@ def make_sample(
     """The sample of an item.
 
     Args:
-        manifest: what to make.
-        item: out of what.
+        manifest: the manifest of the data set.
+        item: the item to make.
         meshes: the folder that `item.source` is relative to; None for procedural shapes.
-        known: where the mesh's views, as this manifest's cameras see it, may lie ready; else they are
+        known: store that may hold the mesh's views by this manifest's cameras; where it does not, they are
             rendered. Which of the two happens does not show in the sample.
-        keep: where to keep them for other runs.
+        keep: store in which the views are kept for other runs.
         stages: told of each stage and its time.
 
     Raises:
@@ -138,7 +138,7 @@ def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | N
 
 def _see(manifest: Manifest, item: Item, mesh: Mesh, vertices: F64, normalisation: Normalisation,
          known: ViewStore | None, keep: ViewStore | None, stages: Stages) -> Views:
-    """The views from where they lie ready, or rendered; kept where asked to."""
+    """The views: kept ones where there are any, else rendered; they are kept if asked for."""
     fingerprint = view_fingerprint(manifest)
     for store in (keep, known):
         if store is not None:
@@ -158,7 +158,7 @@ def _see(manifest: Manifest, item: Item, mesh: Mesh, vertices: F64, normalisatio
 
 
 def _find(store: ViewStore, key: str, mesh_sha256: str, fingerprint: str) -> Views | None:
-    """Kept views; a damaged file is as good as none, because rendering gives the same."""
+    """Kept views; a damaged file counts as none, because rendering gives the same."""
     try:
         return store.find(key, mesh_sha256, fingerprint)
     except OcnfError as error:
@@ -229,11 +229,11 @@ class Noise:
         self._drawn: dict[int, F32] = {}
 
     def sensor(self, view: int) -> SensorDraws:
-        """The draws of `views.sensor`: six numbers a pixel, drawn anew rather than held."""
+        """The draws of `views.sensor`: six numbers a pixel, drawn again rather than held."""
         return sensor_draws(self._seed, self._key, view, self._size)
 
     def __call__(self, view: int) -> F32:
-        """Park's."""
+        """The standard normal noise (H, W) of Park's model."""
         if view not in self._drawn:
             self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
         return self._drawn[view]

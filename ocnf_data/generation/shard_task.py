@@ -31,7 +31,7 @@ class ShardTask:
     Attributes:
         out: the data set's URL, as the worker reaches it.
         shard: the shard and its items.
-        setup, limits: for the child process the items run in.
+        setup, limits: what the child process that runs the items is started with.
         live: a folder to count finished items in, for the progress bar; None where the driver sees none.
     """
 
@@ -50,7 +50,7 @@ class ShardDone:
         name: `train-000007`.
         entry: what `dataset.json` is to say of it.
         contents: what the split's catalogue is to say of it.
-        failures: of its items.
+        failures: the items of this shard that failed.
     """
 
     name: str
@@ -63,7 +63,7 @@ def make_shard(task: ShardTask) -> ShardDone:
     """Make and publish a shard.
 
     Raises:
-        OcnfError: the shard cannot be written, or the machine is in trouble; nothing is published then.
+        OcnfError: the shard cannot be written, or the machine is at fault; nothing is published then.
     """
     store, shard = Store(task.out), task.shard
     supervisor = supervisor_of_this_thread(task.setup, task.limits)
@@ -83,7 +83,7 @@ def find_done(store: Store, shard: ShardPlan, names: Collection[str]) -> ShardDo
 
     Args:
         store: the data set.
-        shard: what was planned.
+        shard: the planned shard.
         names: all files of the data set (`store.list()`), so that looking costs one listing for all shards.
     """
     index_name = index_path(shard.split, f"shard-{shard.number:06d}.tar")
@@ -114,7 +114,7 @@ def _add(writer: ShardWriter, item: Item, result: Sample | Failure) -> Failure |
         return result
     try:
         writer.add(result.key, result.members, result.timings)
-    except OcnfError as error:  # a member over the format's limits; the disk's troubles are OSErrors in here
+    except OcnfError as error:  # a member over the format's limits; failures of the disk are OSErrors in here
         return Failure.of(item, "write", error.code, str(error))
     return None
 

@@ -68,9 +68,9 @@ def place_among_ranks(rank: int | None, world_size: int | None,
     """(rank, world size) of this process.
 
     Args:
-        rank: as given by the user, with the world size, or None.
-        world_size: see rank.
-        running: those of torch.distributed, where it is initialised.
+        rank: rank given by the user together with the world size, or None.
+        world_size: world size given by the user together with the rank, or None.
+        running: rank and world size of torch.distributed, where it is initialised.
     """
     if (rank is None) != (world_size is None):
         field = "rank" if rank is None else "world_size"

@@ -43,8 +43,8 @@ class Assembler:
 
     Args:
         catalogue: the samples.
-        partition: which of them make a batch.
-        seed: of the augmentation.
+        partition: says which of the samples make a batch.
+        seed: seed of the augmentation.
         augment: the group of symmetries.
         on_error: what becomes of a damaged sample.
         max_bad_fraction: share of the samples of a rank's epoch that may be lost; one always may.
@@ -93,7 +93,7 @@ class Assembler:
             fetched = self._try(int(order[place]), epoch, lost)
             if fetched is not None:
                 return fetched
-        raise OcnfError("no sample is left to stand in for a damaged one", code="too_many_bad",
+        raise OcnfError("no sample is left to replace a damaged one", code="too_many_bad",
                         where="ShardDataset", found=lost[-1].error)
 
     def _try(self, sample: int, epoch: int, lost: list[Lost]) -> RawSample | None:

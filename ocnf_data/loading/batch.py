@@ -41,7 +41,7 @@ class Octrees:
         kind: an `Encoding` or "target".
         trees: (B, GD, GH, GW, 2) int64, the bits of `GridOctree.trees` (bit 63 is the sign).
         data: (L, C) uint8 or float16, the leaves of all samples, in order; `value = data / divisor`.
-        n_leaves: of each sample; they sum to L.
+        n_leaves: (B,) number of leaves of each sample; they sum to L.
     """
 
     kind: str
@@ -86,7 +86,7 @@ class Slot:
         member: name of the member they come from.
         resolution: voxels along each axis.
         kind: an `Encoding` or "target".
-        n_leaves: of each sample.
+        n_leaves: (B,) number of leaves of each sample.
         trees_at: first byte.
     """
 
@@ -142,11 +142,11 @@ class Batch:
 
     Attributes:
         epoch, step: this is batch `step` of its rank in that epoch.
-        keys, categories: of each of the B samples.
+        keys, categories: key and category of each of the B samples.
         meta: the parsed `json` member of each; it speaks of the sample before augmentation.
-        repeat: whether the sample was met before in this epoch, or stands in for a lost one. An average over
+        repeat: whether the sample was met before in this epoch, or replaces a lost one. An average over
             an epoch leaves these out.
-        symmetries: what augmentation did to each.
+        symmetries: the symmetry that augmentation applied to each sample.
         lost: samples of this batch that were damaged (`on_error="skip"`).
         arena: the memory of all octrees.
         slots: what lies where in it.
@@ -164,7 +164,7 @@ class Batch:
     slots: tuple[Slot, ...]
 
     def __len__(self) -> int:
-        """B. It is `batch_size` but for the last batch of an exact epoch, and less what is lost in one."""
+        """Number of samples, B: `batch_size`, or fewer at an exact epoch's end or where some were lost."""
         return len(self.keys)
 
     @property

@@ -32,8 +32,8 @@ class Request:
     Attributes:
         split: `train`, `val`, `test`, ...
         resolutions: voxels along each axis, each once.
-        encoding: of the inputs; None for no inputs.
-        variant: of the inputs; None for the only one that there is.
+        encoding: encoding of the inputs; None for no inputs.
+        variant: variant of the inputs; None for the only one that there is.
         categories: None for all.
         targets: whether the ground truth is wanted.
     """
@@ -65,7 +65,7 @@ class ShardTable:
     """The S shards that have samples, as arrays: a million samples are some 60,000 shards.
 
     Attributes:
-        urls: of the data sets.
+        urls: URLs of the data sets.
         url_of: (S,) int32, which of them a shard belongs to.
         numbers: (S,) int32, 7 for `shard-000007.tar`.
         sizes: (S,) int64, bytes of the tar.
@@ -112,14 +112,14 @@ class Catalogue:
     """The N samples.
 
     Attributes:
-        request: with the variant filled in.
+        request: what was asked for, with the variant filled in.
         datasets: identity of each data set, in the order given.
-        manifest: of the first data set; the others agree where it matters.
-        shards: those with samples.
+        manifest: manifest of the first data set; the others agree where it matters.
+        shards: the shards that have samples.
         shard_sizes: (S,) int64, how many of the samples lie in each.
         shard_of: (N,) int32, ascending.
         position: (N,) int32, a sample's number in its tar.
-        keys: of each sample.
+        keys: key of each sample.
         categories: names, each once.
         category_of: (N,) uint32, a sample's place among them.
     """
@@ -273,9 +273,9 @@ def check_meaning(where: str, manifest: Mapping[str, Any], first: str, other: Ma
 
     Args:
         where: the data set.
-        manifest: its resolved manifest.
-        first: the other one.
-        other: its manifest.
+        manifest: resolved manifest of the data set.
+        first: the other data set.
+        other: resolved manifest of the other data set.
 
     Raises:
         OcnfError: names the field and both values.

@@ -79,7 +79,7 @@ class Cursor:
 
         Args:
             worker: the worker's number.
-            identity: that of the iteration; None for one without workers.
+            identity: identity of the iteration; None for one without workers.
         """
         if not 0 <= worker < MAX_WORKERS:
             raise OcnfError("too many workers", where="DataLoader", field="num_workers",

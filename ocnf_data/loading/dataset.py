@@ -45,19 +45,20 @@ class ShardDataset(EpochDataset):
     Args:
         urls: folder or fsspec URL of a data set, or several of them, taken as one.
         split: `train`, `val` or `test`.
-        resolutions: which of them, voxels along each axis; only these are read and decoded.
-        encoding: of the inputs (`occupancy`, `tsdf`, `tdf_occupancy`, `histogram`); None for no inputs.
+        resolutions: the resolutions to read, voxels along each axis; only these are decoded.
+        encoding: encoding of the inputs (`occupancy`, `tsdf`, `tdf_occupancy`, `histogram`); None for no
+            inputs.
         variant: name of the inputs in the manifest; None for the only one that has the encoding.
-        seed: of order and augmentation; 0 is a seed like any other.
+        seed: seed of the samples' order and of the augmentation, any integer from 0.
         batch_size: samples a batch, for each rank.
-        rank: of this process; None takes it, like world_size, from torch.distributed if that is initialised,
-            else from RANK and WORLD_SIZE in the environment, else 0 of 1.
+        rank: number of this process, from 0; None takes it, like world_size, from torch.distributed if that
+            is initialised, else from RANK and WORLD_SIZE in the environment, else 0 of 1.
         world_size: processes that train together.
         on_error: "raise" stops at a damaged sample, with shard, key, member and offset. "skip" leaves it out,
             logs it and lists it in `Batch.lost`; in its place comes the next sample of the epoch's order
             from behind the batch, marked `repeat`, so that ranks stay equal in length (with uneven="exact",
             where ranks may differ, nothing does: the batch is shorter, and may be empty).
-        categories: which of them; None for all.
+        categories: names of the categories to read; None for all.
         targets: False leaves out the ground truth.
         shuffle: False meets the samples in the data sets' own order, in every epoch.
         buffer: samples in the window that is shuffled (see `loading.order`).
@@ -161,14 +162,14 @@ class ShardDataset(EpochDataset):
         return order
 
     def supply(self) -> ShardSupply:
-        """Its samples by number, as a part of a `MixtureDataset`."""
+        """The samples by number, for use as a part of a `MixtureDataset`."""
         return ShardSupply(self._catalogue, self._seed, self._buffer, self._shuffle, self.checksum)
 
     # ---- what is in it
 
     @property
     def checksum(self) -> str:
-        """That of the data set, as its `dataset.json` has it; of several, the SHA-256 of theirs."""
+        """The checksum in the data set's `dataset.json`; for several data sets, the SHA-256 of theirs."""
         first, *others = self._catalogue.datasets
         return sha256_hex(canonical_json([first, *others])) if others else first
 

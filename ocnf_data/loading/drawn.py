@@ -21,13 +21,13 @@ class DrawnDataset(EpochDataset):
     """Batches in epochs of a length that is given, out of a supply that has no end.
 
     Args:
-        supply: of samples.
-        n_samples: that make an epoch, of all ranks together.
-        seed: of the augmentation, and of whatever the supply draws.
+        supply: where the samples come from.
+        n_samples: number of samples that make an epoch, of all ranks together.
+        seed: seed of the augmentation, and of whatever the supply draws.
         batch_size: samples a batch, for each rank.
-        rank: as for `ShardDataset`.
-        world_size: likewise.
-        on_error: "raise", or "skip" for another draw in the place of a sample that cannot be had.
+        rank: number of this process, from 0, or None, with the same meaning as for `ShardDataset`.
+        world_size: number of processes that train together, or None.
+        on_error: "raise", or "skip" for another draw in place of a sample that cannot be read or made.
         uneven: "repeat" or "exact", as for `ShardDataset`.
         drop_last: leave out the last, incomplete round of batches.
         augment: "none", "rotations", "flips" or "all".
@@ -84,7 +84,7 @@ class DrawnDataset(EpochDataset):
         return order
 
     def supply(self) -> Supply:
-        """Its samples by number, as a part of a `MixtureDataset`."""
+        """The samples by number, for use as a part of a `MixtureDataset`."""
         return self._supply
 
     @property

@@ -95,7 +95,7 @@ class Fetcher:
 
 
 def _about(error: OcnfError, where: str, field: str) -> OcnfError:
-    """The error, said of a place in a shard."""
+    """The error, with a place in a shard added to it."""
     return OcnfError(error.what, code=error.code, where=where, field=field, found=error.found,
                      expected=error.expected, fix=error.fix)
 

@@ -1,4 +1,4 @@
-"""Samples of an epoch that could not be had: counted by all worker processes together, and bounded."""
+"""Samples of an epoch that could not be read or made, counted by all workers together, and their limit."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class LostSamples:
 
     Args:
         n_samples: samples that there are.
-        limit: how many of them may be lost in one epoch.
+        limit: number of samples that may be lost in one epoch.
         what: what is lost, in the plural, for messages.
         where: who says so.
         fix: what to do about too many.
-        logger: that each loss is logged to, once an epoch.
+        logger: logger that each loss is logged to, once an epoch.
     """
 
     def __init__(self, n_samples: int, limit: int, what: str, where: str, fix: str, logger: str) -> None:
@@ -32,9 +32,9 @@ class LostSamples:
         """Write a loss down.
 
         Args:
-            sample: its number.
-            epoch: in which it was lost.
-            message: for the log.
+            sample: number of the sample.
+            epoch: epoch in which it was lost.
+            message: text for the log.
             error: why.
 
         Raises:

@@ -44,15 +44,16 @@ class MixtureDataset(DrawnDataset):
         parts: (data set, weight) of each: a `ShardDataset` (of one variant of its inputs) or a
             `SynthesisDataset`, all of the same resolutions and encoding; the weights are relative.
         samples_per_epoch: how many samples make an epoch, of all ranks together.
-        seed: of which part is drawn, and of the augmentation.
+        seed: seed of the choice among the parts, and of the augmentation.
         batch_size: samples a batch, for each rank.
-        rank: as for `ShardDataset`.
-        world_size: likewise.
+        rank: number of this process, from 0, or None, with the same meaning as for `ShardDataset`.
+        world_size: number of processes that train together, or None.
         on_error: "raise", or "skip" for the part's next sample in the place of one that is damaged.
         uneven: "repeat" or "exact", as for `ShardDataset`.
         drop_last: leave out the last, incomplete round of batches.
         augment: "none", "rotations", "flips" or "all".
-        max_bad_fraction: as for `ShardDataset`.
+        max_bad_fraction: with on_error="skip", the share of the samples that this rank meets in an epoch (and
+            at least one) that may be replaced before the run stops.
 
     Raises:
         OcnfError: no parts, a weight that is not positive, parts that do not go together.
@@ -89,7 +90,7 @@ class MixtureSupply:
 
     Args:
         parts: (supply, weight) of each.
-        seed: of which part is drawn.
+        seed: seed of the choice among the parts.
     """
 
     def __init__(self, parts: Sequence[tuple[Supply, float]], seed: int) -> None:
@@ -106,11 +107,11 @@ class MixtureSupply:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """That of the first part; the others agree where it matters."""
+        """The manifest of the first part; the others agree where it matters."""
         return self._supplies[0].manifest
 
     def key(self, epoch: int, number: int, attempt: int) -> str:
-        """That of the part's sample."""
+        """The key of the part's sample."""
         part, n = self.place(epoch, number)
         return self._supplies[part].key(epoch, n, attempt)
 

@@ -32,7 +32,7 @@ class Uneven(StrEnum):
     REPEAT = "repeat"
     """Every rank gets ceil(N / (world B)) batches; the first samples of the order come again, marked."""
     DROP = "drop"
-    """Every rank gets floor(N / (world B)) batches; the last samples of the order sit this epoch out."""
+    """Every rank gets floor(N / (world B)) batches; the order's last samples are left out of the epoch."""
     EXACT = "exact"
     """Each sample exactly once; some ranks get one batch less, one rank a shorter last batch."""
 
@@ -44,7 +44,7 @@ def epoch_order(shard_sizes: Sequence[int] | I64, seed: int, epoch: int, buffer:
     Args:
         shard_sizes: samples of each shard; sample ids count through the shards in this order.
         seed: any integer from 0, like the epoch; each pair of them has its own order.
-        epoch: see seed.
+        epoch: number of the epoch, from 0.
         buffer: samples in a window, at least 1 (1 permutes the shards alone).
         shuffle: False gives 0 .. N-1, in every epoch.
 
@@ -80,7 +80,7 @@ class Partition:
         n_samples: N, at least 1.
         batch_size: B, samples a batch.
         rank, world_size: this process among those that train together.
-        uneven: what becomes of the tail.
+        uneven: what becomes of the last samples.
     """
 
     n_samples: int
@@ -103,7 +103,7 @@ class Partition:
             raise OcnfError("drop_last leaves nothing", code="empty", where="ShardDataset",
                             found=f"{self.n_samples} samples",
                             expected=f"at least {self.world_size * self.batch_size}",
-                            fix="lower the batch size, or let the tail be filled (drop_last=False)")
+                            fix="lower the batch size, or fill the last batch (drop_last=False)")
 
     @property
     def n_batches(self) -> int:
@@ -129,7 +129,7 @@ class Partition:
         return places % self.n_samples, places >= self.n_samples
 
     def spares(self, step: int) -> Iterator[int]:
-        """Places whose samples may stand in for lost ones of batch `step`: what follows it in the order, and
+        """Places whose samples may replace lost ones of batch `step`: what follows it in the order, and
         on from the start, without the batch's own. The same for any number of workers.
         """
         own = set(self.places(step)[0].tolist())

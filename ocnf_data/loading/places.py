@@ -93,6 +93,6 @@ class PlaceFinder:
                 raise OcnfError("the index says other things of a sample than the catalogue",
                                 code="catalogue", field=key,
                                 where=shards.store(shard).where(index_path(split, index.shard)),
-                                fix="`ocnf-data repair` makes the catalogue anew from the indices")
+                                fix="`ocnf-data repair` makes the catalogue again from the indices")
             entries.append(found)
         return Places.of(entries, self._names)

@@ -13,14 +13,14 @@ class ShardSupply:
     """Samples of shards; see `loading.supply.Supply`.
 
     Number i of an epoch is the i-th sample of the order that `ShardDataset` would meet; behind the last one
-    the order goes on from its start. The k-th stand-in for a sample is the k-th behind it.
+    the order goes on from its start. The k-th replacement of a sample is the k-th behind it.
 
     Args:
         catalogue: the samples.
-        seed: of the order.
+        seed: seed of the samples' order.
         buffer: samples in the window that is shuffled.
-        shuffle: whether it is.
-        checksum: of the data sets.
+        shuffle: whether the samples are shuffled.
+        checksum: SHA-256 of the data sets, as `ShardDataset.checksum` gives it.
     """
 
     def __init__(self, catalogue: Catalogue, seed: int, buffer: int, shuffle: bool, checksum: str) -> None:
@@ -33,7 +33,7 @@ class ShardSupply:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """That of the (first) data set."""
+        """The manifest of the (first) data set."""
         return self._catalogue.manifest
 
     def key(self, epoch: int, number: int, attempt: int) -> str:

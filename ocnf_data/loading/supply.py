@@ -32,7 +32,7 @@ class Supply(Protocol):
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """Resolved: what values mean."""
+        """The resolved manifest, which says what the values mean."""
 
     def key(self, epoch: int, number: int, attempt: int) -> str:
         """What `sample` is made of, for messages."""
@@ -41,12 +41,12 @@ class Supply(Protocol):
         """A sample.
 
         Args:
-            epoch: from 0.
-            number: of the sample in it, from 0, without an end.
-            attempt: which stand-in to take where the first ones could not be had; 0 is the sample itself.
+            epoch: number of the epoch, from 0.
+            number: number of the sample in the epoch, from 0, without an upper limit.
+            attempt: number of the replacement to take, counted from 1; 0 is the sample itself.
 
         Raises:
-            OcnfError: it cannot be had.
+            OcnfError: the sample cannot be read or made.
         """
 
 
@@ -54,12 +54,12 @@ class SupplyAssembler:
     """Makes any batch of any epoch of one rank out of a supply.
 
     Args:
-        supply: of samples.
-        partition: which of an epoch's samples make a batch.
-        seed: of the augmentation.
+        supply: where the samples come from.
+        partition: says which of an epoch's samples make a batch.
+        seed: seed of the augmentation.
         augment: the group of symmetries.
-        on_error: what becomes of a sample that cannot be had.
-        lost: counts them.
+        on_error: what becomes of a sample that cannot be read or made.
+        lost: counts the lost samples.
     """
 
     def __init__(self, supply: Supply, partition: Partition, seed: int, augment: Augment, on_error: OnError,
@@ -71,7 +71,7 @@ class SupplyAssembler:
         """Batch `step` of an epoch.
 
         Raises:
-            OcnfError: a sample cannot be had, or (code `too_many_bad`) too many cannot.
+            OcnfError: a sample cannot be read or made, or (code `too_many_bad`) too many cannot.
         """
         places, repeat = self._partition.places(step)
         lost: list[Lost] = []
@@ -91,4 +91,4 @@ class SupplyAssembler:
                 key = self._supply.key(epoch, number, attempt)
                 lost.append(Lost(key, error.code, str(error)))
                 self._lost.count(number, epoch, f"another sample takes the place of {key}: {error}", error)
-        raise OcnfError("no stand-in could be had either", code="too_many_bad", found=lost[-1].error)
+        raise OcnfError("no replacement could be made either", code="too_many_bad", found=lost[-1].error)

@@ -22,13 +22,13 @@ class Entry:
     split: str
     category: str
     path: str | None = None
-    """POSIX, relative to the meshes' root (or absolute, where a list says so)."""
+    """POSIX path of the mesh file, relative to the meshes' root (or absolute, where a list says so)."""
     index: int | None = None
-    """Counts within category and split, from 0."""
+    """Number of the procedural shape within its category and split, from 0."""
     key: str | None = None
     """The key an explicit list gives it."""
     excluded: str | None = None
-    """Why it is left out; it is counted all the same."""
+    """Why the mesh is left out; it is counted nevertheless."""
 
 
 HIDDEN = "is hidden: its name begins with a dot"

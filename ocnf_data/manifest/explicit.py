@@ -19,7 +19,7 @@ class ListEntry(Strict):
     """One mesh file; a bare string is its path."""
 
     path: Annotated[str, Field(min_length=1)]
-    """Of the mesh file, relative to the root."""
+    """Path of the mesh file, relative to the root."""
     category: Annotated[str, Field(min_length=1)] = "mesh"
     """Its category, by which the loader selects and the evaluation groups."""
     key: str | None = None

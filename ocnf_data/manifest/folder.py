@@ -50,7 +50,7 @@ class FolderSource(Strict):
     """Take only so many meshes, drawn from (seed, path); None takes all."""
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """By split and path; then the hidden files."""
+        """The entries by split and path; then the hidden files."""
         base = given(root)
         below = list(_meshes_below(base))
         shown = [path for path in below if not is_hidden(path.rpartition("/")[2])]

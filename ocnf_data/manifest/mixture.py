@@ -26,7 +26,7 @@ class SourcePart(Strict):
     weight: DrawWeight = 1.0
     """How often `SynthesisDataset` draws from it, relative to the others. `generate` takes all its meshes."""
     source: PlainSource
-    """Its meshes and their splits: any kind but a mixture."""
+    """The meshes and their splits: a source of any kind but a mixture."""
 
 
 class MixtureSource(Strict):
@@ -40,7 +40,7 @@ class MixtureSource(Strict):
     """The sources, one or more."""
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """Those of each part, in order."""
+        """The entries of each part, in order."""
         return [entry for part in self.parts for entry in part.source.entries(root, seed)]
 
     @property

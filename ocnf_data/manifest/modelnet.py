@@ -28,7 +28,7 @@ class Slice(Strict):
     folder: str
     """Folder inside each category's folder; `.` is the category's own."""
     skip: Annotated[Int, Field(ge=0)] = 0
-    """How many of the sorted files are passed over."""
+    """How many of the sorted files are skipped."""
     count: Annotated[int | Literal["all"], BeforeValidator(_count)]
     """How many are taken, from 0 on, or `all`."""
 
@@ -113,7 +113,7 @@ class ModelNetSource(Strict):
         return first == "all" or second == "all" or bool(set(first) & set(second))
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """By split, category as listed, file name; then the hidden files of the folders that were listed."""
+        """The entries by split, category as listed, file name; then hidden files of the listed folders."""
         base = given(root)
         found = []
         hidden: dict[str, Entry] = {}  # by path, as two splits may share a folder

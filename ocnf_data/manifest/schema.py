@@ -52,7 +52,7 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
 class Target(StrEnum):
-    """What the network shall learn, stored at every resolution."""
+    """What the network learns to predict, stored at every resolution."""
 
     TSDF = "tsdf"
     """TSDF of all views of the rig, divided by tau."""
@@ -99,8 +99,8 @@ class Camera(Strict):
     cy: Real = 240.0
     """Row of the principal point, pixels; the centre of the first pixel is 0."""
     distance: Annotated[Real, Field(gt=0)] = 3.0
-    """From the origin to each camera, metres; more than half the diagonal of the largest bounding box, which
-    is 2.468 m for the default extent and padding."""
+    """Distance from the origin to each camera, metres; more than half the diagonal of the largest bounding
+    box, which is 2.468 m for the default extent and padding."""
 
     @field_validator("rig")
     @classmethod
@@ -143,13 +143,13 @@ class Variant(Strict):
     """How many views of the rig it sees, at most all; of N views
     `linspace(0, N - 1, views)`, cut to integers."""
     sigma: Annotated[Real, Field(ge=0, le=1)] = 0.0
-    """Standard deviation of the depth noise as a fraction of the depth, of `park`."""
+    """Standard deviation of the noise of `park`, as a fraction of the depth."""
     noise: Literal["park", "kinect"] = "park"
     """`park`: independent in each pixel (`views.noise`). `kinect`: a sensor's (`views.sensor`)."""
     strength: Annotated[Real, Field(ge=0, le=10)] = 1.0
-    """Of `kinect`: 0 is none, 1 that of a Kinect."""
+    """Strength of the noise of `kinect`: 0 is none, 1 that of a Kinect."""
     metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
-    """Of `kinect`: real metres that a metre of the grid stands for."""
+    """For `kinect`, how many real metres a metre of the grid stands for."""
     encodings: Annotated[tuple[Encoding, ...], NotEmpty]
     """How the views are written into octrees, each encoding at most once."""
 
@@ -222,7 +222,7 @@ class Manifest(Strict):
     name: str
     """Name of the data set; letters, digits, `_`, `-` and `.`, not `-` or `.` at first."""
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
-    """Of everything that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
+    """Seed of all that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
     source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource
                       | ScenesSource,
                       Field(discriminator="kind")]

@@ -21,7 +21,7 @@ class ShapeCounts(Strict):
 
 
 class ShapesSource(Strict):
-    """Procedural shapes. `counts` are totals: a split's shapes are dealt to its categories in turn."""
+    """Procedural shapes. `counts` are totals: a split's shapes go to its categories in turn."""
 
     kind: Literal["shapes"]
     categories: Categories

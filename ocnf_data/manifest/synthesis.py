@@ -1,4 +1,4 @@
-"""The manifest's section on training data without end: what is drawn anew for every sample.
+"""The manifest's section on training data without end: what is drawn for every sample.
 
     synthesis:
       samples_per_epoch: 2000
@@ -28,11 +28,11 @@ class Rotate(StrEnum):
     """How a mesh is turned before it is scaled into the cube."""
 
     NONE = "none"
-    """As its file has it."""
+    """The mesh stays as its file has it."""
     UPRIGHT = "upright"
-    """About its vertical axis, by any angle."""
+    """The mesh is turned about its vertical axis, by any angle."""
     ANY = "any"
-    """By any rotation, all of them equally likely."""
+    """The mesh is turned by any rotation, all of them equally likely."""
 
 
 class Directions(StrEnum):
@@ -103,4 +103,4 @@ class Synthesis(Strict):
     """Of `kinect`: real metres that a metre of the grid stands for."""
     repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
     """For so many epochs sample i keeps its mesh, rotation and scale, while its views, noise and symmetry are
-    drawn anew. Its ground truth, most of the work, is then made once and kept in a cache."""
+    drawn again. Its ground truth, most of the work, is then made once and kept in a cache."""

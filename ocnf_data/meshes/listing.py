@@ -15,7 +15,7 @@ from ocnf_data.meshes.formats import FORMATS
 def list_modelnet(root: str | os.PathLike[str], category: str, folder: str) -> list[str]:
     """Mesh files of `root/category/folder`, as POSIX paths relative to `root`, sorted as strings.
 
-    Hidden files (see `list_hidden`) and other suffixes are passed over; folders in it are not entered.
+    Hidden files (see `list_hidden`) and other suffixes are skipped; folders in it are not entered.
 
     Raises:
         OcnfError: the folder is missing or cannot be read (`missing`), or holds no mesh (`empty`).
@@ -28,7 +28,7 @@ def list_modelnet(root: str | os.PathLike[str], category: str, folder: str) -> l
 
 
 def list_hidden(root: str | os.PathLike[str], category: str, folder: str) -> list[str]:
-    """Like `list_modelnet`, what has a mesh's suffix there but a name that begins with a dot; may be []."""
+    """The hidden files that `list_modelnet` skips: with a mesh's suffix, and a dot at first; may be []."""
     return [path for path, hidden in _listed(root, category, folder) if hidden]
 
 

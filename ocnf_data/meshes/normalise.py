@@ -12,7 +12,7 @@ def normalise(mesh: Mesh, extent: float = 3.0, padding: float = 0.05) -> tuple[F
     """Vertices (N, 3) in metres: the bounding box of the referenced ones centred, its longest edge scaled.
 
     Args:
-        mesh: what to scale.
+        mesh: the mesh to scale.
         extent: edge length of the cube in metres.
         padding: share of it that stays free; the longest edge becomes `extent * (1 - padding)`.
 

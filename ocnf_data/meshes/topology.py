@@ -51,7 +51,7 @@ def is_watertight(faces: I64) -> bool:
 
 
 def weld(vertices: F64) -> I64:
-    """For each vertex the number of its position among the distinct ones, (N,)."""
+    """Number of each vertex's position among the distinct ones, (N,)."""
     order = np.lexsort(vertices.T)
     ordered = vertices[order]
     new = np.ones(len(vertices), dtype=np.int64)

@@ -82,11 +82,11 @@ def watertight_path(source: str | os.PathLike[str], out: str | os.PathLike[str],
 
     Args:
         source: a mesh file, or a folder.
-        out: for a file the file to write, whose suffix says the format (none: a folder); for a folder a
-            folder, in which the same tree of names appears.
-        resolution: as for `make_watertight`.
+        out: the file to write if `source` is a file (its suffix names the format; without a suffix it is a
+            folder). If `source` is a folder, the folder in which the same tree of names appears.
+        resolution: voxels along the cube, a multiple of 8, as for `make_watertight`.
         jobs: worker processes.
-        level: as for `make_watertight`.
+        level: how far outside of the measured surface to cut, in units of tau, as for `make_watertight`.
         suffix: format of what is written into a folder: .ply, .obj, .off or .stl.
         progress: called with (done, all) after every file.
 

@@ -29,7 +29,7 @@ def _ply(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
 
 
 def _obj(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
-    """Colours as `v x y z r g b`, 0 to 1: not in the specification, but common programs read it."""
+    """The bytes of an OBJ file; colours are `v x y z r g b`, 0 to 1, which common programs read."""
     text = io.BytesIO()
     if colours is None:
         np.savetxt(text, vertices, f"v {_DIGITS} {_DIGITS} {_DIGITS}")
@@ -55,10 +55,10 @@ def _stl(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
 
 
 class Writer(Protocol):
-    """Vertices (N, 3), faces (M, 3) and colours (N, 3) of the vertices to the bytes of a file."""
+    """A function from vertices (N, 3), faces (M, 3) and vertex colours (N, 3) to the bytes of a file."""
 
     def __call__(self, vertices: F64, faces: I64, colours: U8 | None = None) -> bytes: ...
 
 
 WRITERS: dict[str, Writer] = {".ply": _ply, ".obj": _obj, ".off": _off, ".stl": _stl}
-"""By suffix. STL holds float32 only; OFF and STL leave colours out."""
+"""The writer for each suffix. STL holds float32 only; OFF and STL leave colours out."""

@@ -54,7 +54,7 @@ def read_oc(path: str | os.PathLike[str], make: Callable[[U64, F32], GridOctree]
     """Read a `.oc` file. Nothing is allocated before the header agrees with the size of the file.
 
     Args:
-        path: of the file.
+        path: path of the file.
         make: an octree of trees and data: the class.
 
     Raises:

@@ -140,7 +140,7 @@ def quantise(octree: GridOctree, kind: str) -> RawOctree:
 
 
 def _round_float(step_bits: int) -> Callable[[F32], StoredArray]:
-    """To multiples of 2^-step_bits; what would vanish becomes half a step, which is the others' bound too."""
+    """Round to multiples of 2^-step_bits; what would become 0 is half a step, within the same bound."""
     steps = np.float32(1 << step_bits)
 
     def quantise_float(values: F32) -> StoredArray:
@@ -153,7 +153,7 @@ def _round_float(step_bits: int) -> Callable[[F32], StoredArray]:
 
 
 def _round_share(values: F32) -> StoredArray:
-    """[0, 1] to 0..255; what would vanish becomes 1."""
+    """Round [0, 1] to 0..255; what would become 0 is 1 instead."""
     return np.maximum(np.rint(values * np.float32(255)), values > 0).astype(np.uint8)
 
 

@@ -124,7 +124,7 @@ def _move_tree(
         for new_c in range(8):
             c = octants[new_c]
             node = 8 * (1 + k) + 1 + c
-            splits2 = splits_below(lo, hi, node) - 1 - n_split  # likewise of width 2
+            splits2 = splits_below(lo, hi, node) - 1 - n_split  # the same for width 2
             if not is_split(lo, hi, node):
                 _copy_row(leaves, first2 + 8 * splits4 + c - splits2, moved, n2)
                 n2 += 1

@@ -41,9 +41,9 @@ def slice_cells(
     """The leaves that a plane of voxels cuts.
 
     Args:
-        octree: of shape (D, H, W).
+        octree: an octree of shape (D, H, W).
         axis: 0, 1 or 2 for a plane across z, y or x.
-        index: which plane of voxels.
+        index: number of the plane of voxels along the axis, from 0.
 
     Returns:
         (n,) rows of `octree.data`, and (n, 3) int32 (row, column, width) of their squares in the plane, whose
@@ -95,11 +95,11 @@ def draw_slice(
     """Draw one plane of an octree, with the outlines of its leaves: blue free, red inside or unseen.
 
     Args:
-        ax: where to draw.
-        octree: of any encoding.
+        ax: Matplotlib axes to draw on.
+        octree: an octree of any encoding.
         axis: 0, 1 or 2 for a plane across z, y or x.
-        index: which plane of voxels.
-        encoding: of the values.
+        index: number of the plane of voxels along the axis, from 0.
+        encoding: encoding of the octree's values.
         window: draw only this part.
     """
     from matplotlib.collections import LineCollection

@@ -57,7 +57,7 @@ class Draft:
         return None
 
     def stand(self, part: Part, name: str) -> bool:
-        """Add a part that stands where it shall, if its box keeps apart from all others; whether it did."""
+        """Add a part that is in its place, if its box is apart from all others; whether it was added."""
         a, b = part.vertices.min(axis=0), part.vertices.max(axis=0)
         for low, high in self._boxes:
             if (a < high + _GAP).all() and (b > low - _GAP).all() and not (

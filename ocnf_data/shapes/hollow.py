@@ -44,7 +44,7 @@ def hollow(radii: F64, heights: F64, wall: float, section: F64, floor: float | N
 
 
 def shell(radii: F64, heights: F64, section: F64) -> Part:
-    """The same without thickness: an open sheet, as many downloaded vessels are."""
+    """A vessel like `hollow`'s without thickness: an open sheet, as many downloaded vessels are."""
     rings = stack([section * q for q in radii], heights.tolist())
     return loft(rings, np.array([0, 0, heights[0]]))
 

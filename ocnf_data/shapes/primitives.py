@@ -21,21 +21,21 @@ class Part(NamedTuple):
     faces: I64
 
     def move(self, x: float = 0, y: float = 0, z: float = 0) -> Part:
-        """Shifted."""
+        """The part shifted."""
         return Part(self.vertices + np.array([x, y, z]), self.faces)
 
     def scale(self, x: float = 1, y: float = 1, z: float = 1) -> Part:
-        """Stretched along the axes from the origin; mirrored for a negative factor, normals kept outside."""
+        """The part stretched along the axes from the origin; mirrored by a negative factor, normals kept."""
         faces = self.faces[:, ::-1] if x * y * z < 0 else self.faces
         return Part(self.vertices * (x, y, z), faces)
 
     def shrink(self, factor: float) -> Part:
-        """Scaled about the middle of its box."""
+        """The part scaled about the middle of its box."""
         middle = (self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2
         return Part(middle + factor * (self.vertices - middle), self.faces)
 
     def turn(self, axis: str, degrees: float) -> Part:
-        """Turned about x, y or z through the origin, counter-clockwise seen from the axis' tip."""
+        """The part turned about x, y or z through the origin, counter-clockwise seen from the axis' tip."""
         i = "xyz".index(axis)
         j, k = (i + 1) % 3, (i + 2) % 3
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -45,7 +45,7 @@ class Part(NamedTuple):
         return Part(out, self.faces)
 
     def bend(self, change: Callable[[F64, F64, F64], tuple[F64, F64, F64]]) -> Part:
-        """Every vertex sent through `change(x, y, z)`."""
+        """The part with every vertex moved to `change(x, y, z)`."""
         return Part(np.stack(change(*self.vertices.T), axis=1), self.faces)
 
 

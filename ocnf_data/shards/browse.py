@@ -24,8 +24,8 @@ class StoredSample:
     """One sample of a data set; members are read, checked and decoded when asked for.
 
     Attributes:
-        reader: of the shard that holds it.
-        position: its number in the shard.
+        reader: reader of the shard that holds the sample.
+        position: number of the sample in the shard, from 0.
         entry: what the index says of it.
     """
 

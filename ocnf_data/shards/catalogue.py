@@ -112,9 +112,9 @@ class SplitCatalogue:
     """The N samples of the S shards of a split.
 
     Attributes:
-        split: its name.
+        split: name of the split.
         samples: (S,) uint32, samples of each shard.
-        keys: of all samples, shard by shard.
+        keys: keys of all samples, shard by shard.
         categories: each name once, in the order of first use.
         category_of: (N,) uint32, the category's place in that list.
         members: lists of member names, each once, in the order of first use.
@@ -218,11 +218,11 @@ class SplitCatalogue:
 def load_catalogue(store: Store, info: DatasetInfo, split: str) -> SplitCatalogue:
     """The catalogue of a split of a data set.
 
-    A lost one, and that of a data set made before there were any, is made anew from the indices in memory.
+    A lost one, and that of a data set made before there were any, is made again from the indices in memory.
 
     Args:
         store: the data set's folder.
-        info: its `dataset.json`.
+        info: `dataset.json` of the data set.
         split: one of `info.splits`.
 
     Raises:
@@ -251,7 +251,7 @@ def stored_catalogue(store: Store, info: DatasetInfo, split: str) -> SplitCatalo
         blob = store.read_at_most(name, entry.size)
     except OcnfError as error:
         if error.code == "missing":
-            _log.warning("%s is lost: %d indices are read instead; `ocnf-data repair` makes it anew", where,
+            _log.warning("%s is lost: %d indices are read instead; `ocnf-data repair` makes it again", where,
                          len(info.splits[split]))
             return None
         if error.code != "too_large":
@@ -259,12 +259,12 @@ def stored_catalogue(store: Store, info: DatasetInfo, split: str) -> SplitCatalo
         blob = b""
     if sha256_hex(blob) != entry.sha256:
         raise OcnfError("the catalogue is not the file that dataset.json lists", code="checksum", where=where,
-                        fix="`ocnf-data repair` makes it anew from the indices")
+                        fix="`ocnf-data repair` makes it again from the indices")
     catalogue = SplitCatalogue.from_bytes(blob, where)
     shards = [shard.samples for shard in info.splits[split]]
     if catalogue.split != split or catalogue.samples.tolist() != shards:
         raise OcnfError("a catalogue of other shards", code="catalogue", where=where,
-                        fix="`ocnf-data repair` makes it anew from the indices")
+                        fix="`ocnf-data repair` makes it again from the indices")
     return catalogue
 
 

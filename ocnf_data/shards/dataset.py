@@ -118,7 +118,7 @@ class DatasetInfo(Record):
     def identity(self) -> str:
         """What tells this data set from others: `checksum` as it would be without the catalogues.
 
-        A catalogue follows from the indices, so a data set that gains one, or gets it made anew, is the same
+        A catalogue follows from the indices, so a data set that gains one, or gets it made again, is the same
         data set: a training run that was begun on it goes on.
         """
         derived = {catalogue_path(split) for split in self.splits}

@@ -28,7 +28,7 @@ class Fault:
         code: `truncated`, `header`, `checksum`, `padding` or `trailer`.
         what: a clause.
         offset: byte in the tar where it begins.
-        key, member: what it befell; None for the end of the tar.
+        key, member: sample and member that the fault is in; None for the end of the tar.
     """
 
     code: str

@@ -7,7 +7,7 @@
                   "leaf_counts": {"target-64.oct": 25117, ...}}, ...]}
 
 `offset` is that of the payload, in bytes from the start of the tar. Category, source and leaf counts are
-those of the sample's own `json` member, so the index can be made anew from the tar alone
+those of the sample's own `json` member, so the index can be made again from the tar alone
 (`walk.index_from_tar`). It holds no times: those go to `timings/`, which no checksum covers, so that equal
 data gives equal files.
 """
@@ -120,7 +120,7 @@ def read_facts(payload: bytes, where: object) -> SampleFacts:
         return SampleFacts.model_validate_json(payload)
     except ValidationError as error:
         problem = error.errors(include_url=False, include_context=False)[0]
-        raise OcnfError(f"the sample's json member is not as it should be: {problem['msg']}", code="json",
+        raise OcnfError(f"the sample's json member is not valid: {problem['msg']}", code="json",
                         where=where, field=".".join(str(part) for part in problem["loc"]) or None) from None
 
 

@@ -1,4 +1,4 @@
-"""The index of a shard as it lies in the data set; a lost one is made anew from the tar."""
+"""The index of a shard as it lies in the data set; a lost one is made again from the tar."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def read_index(store: Store, split: str, shard: str, sha256: str | None = None) 
     where = store.where(name)
     blob = store.read_at_most(name, MAX_INDEX_BYTES)
     if sha256 is not None and sha256_hex(blob) != sha256:
-        raise OcnfError("the index is not the one that dataset.json vouches for", code="checksum",
-                        where=where, fix="`ocnf-data repair` makes it anew from the shard")
+        raise OcnfError("the index is not the one that dataset.json lists", code="checksum",
+                        where=where, fix="`ocnf-data repair` makes it again from the shard")
     index = ShardIndex.from_json(blob, where)
     if (index.split, index.shard) != (split, shard):
         raise OcnfError(f"the index of {index.split}/{index.shard}", code="misplaced", where=where,
@@ -44,7 +44,7 @@ def read_index(store: Store, split: str, shard: str, sha256: str | None = None) 
 
 
 def load_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
-    """The index of a shard, if it is the one that `dataset.json` vouches for; a lost one is made anew.
+    """The index of a shard, if it is the one that `dataset.json` lists; a lost one is made again.
 
     Raises:
         OcnfError: code `checksum` for a damaged index, or what `rebuild_index` raises.
@@ -79,7 +79,7 @@ def load_indices(store: Store, shards: Iterable[tuple[str, ShardEntry]]) -> Iter
 
 
 def rebuild_index(store: Store, split: str, entry: ShardEntry) -> ShardIndex:
-    """The index of a shard, from its tar alone; only if the tar is the one that `dataset.json` vouches for.
+    """The index of a shard, from its tar alone; only if the tar is the one that `dataset.json` lists.
 
     Raises:
         OcnfError: the tar is damaged (the message has the byte offset), or it is another one (`checksum`).
@@ -103,6 +103,6 @@ def check_size(store: Store, name: str, size: int) -> None:
 
 def _check_entry(index: ShardIndex, split: str, entry: ShardEntry, where: object) -> None:
     if index.split != split or ShardEntry.of(index) != entry:
-        raise OcnfError("the shard is not the one that dataset.json vouches for", code="checksum",
+        raise OcnfError("the shard is not the one that dataset.json lists", code="checksum",
                         where=where, found=f"{index.split}/{index.shard}, SHA-256 {index.sha256[:16]}...",
                         expected=f"{split}/{entry.shard}, SHA-256 {entry.sha256[:16]}...")

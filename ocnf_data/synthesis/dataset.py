@@ -35,23 +35,23 @@ class SynthesisDataset(DrawnDataset):
     Args:
         manifest: a manifest, the path of its YAML, or `Sources` opened before.
         resolutions: voxels a side, multiples of 8; they need not be the manifest's.
-        encoding: of the inputs.
+        encoding: encoding of the inputs.
         meshes: the folder that the manifest's mesh paths are relative to.
         split: whose mesh files, or which of the shapes' endless rows, are drawn from.
-        seed: of everything that is drawn; 0 is a seed like any other.
+        seed: seed of everything that is drawn, any integer from 0.
         batch_size: samples a batch, for each rank.
-        rank, world_size: as for `ShardDataset`.
+        rank, world_size: number of this process and number of all that train together, as for `ShardDataset`.
         on_error: "skip" puts another draw in the place of a mesh that cannot be used, logs it and lists it in
             `Batch.lost`; "raise" stops.
-        categories: which of them; None for all.
+        categories: names of the categories to draw from; None for all.
         drop_last: leave out the last, incomplete round of batches instead of filling it with the epoch's
             first samples, marked `repeat`.
         augment: "none", "rotations", "flips" or "all", of the octrees, as for `ShardDataset`.
         max_bad_fraction: with on_error="skip", the run stops when more than this share of the epoch's
-            samples, and more than one, had to be drawn anew.
+            samples, and more than one, had to be replaced.
         cache: folder for the ground truths that epochs share where the manifest says `repeat`; None makes
-            them anew every time. It changes nothing but the time.
-        samples_per_epoch: in the place of the manifest's.
+            them again every time. It changes nothing but the time.
+        samples_per_epoch: number of samples in an epoch, instead of the manifest's.
 
     Raises:
         OcnfError: a setting is impossible, the meshes are missing, or nothing is left to draw from.

@@ -25,7 +25,7 @@ from ocnf_data.views.noise import NoiseModel, add_noise, view_noise
 from ocnf_data.views.sensor import add_sensor_noise, sensor_draws
 
 Truths = dict[int, RawOctree]
-"""By resolution."""
+"""The ground truth of a body at each resolution, voxels along each axis."""
 
 
 @dataclass(frozen=True, eq=False)

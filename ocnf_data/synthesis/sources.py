@@ -25,8 +25,8 @@ class Pool:
 
     Attributes:
         weight: how often it is drawn from, relative to the others.
-        items: its mesh files.
-        categories: of its procedural shapes.
+        items: mesh files of the source.
+        categories: categories of the procedural shapes of the source.
     """
 
     weight: float
@@ -39,10 +39,10 @@ class Sources:
     """All that a split's samples can be made of.
 
     Attributes:
-        manifest: with its `synthesis` section filled in.
+        manifest: the manifest, with its `synthesis` section filled in.
         meshes: the folder that the items' sources are relative to; None where there are only shapes.
-        split: whose.
-        pools: those with anything in them.
+        split: name of the split.
+        pools: the sources that have anything to draw.
         checksum: SHA-256 of everything that a sample of a given number depends on, the mesh files included.
     """
 

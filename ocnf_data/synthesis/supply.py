@@ -25,7 +25,7 @@ class SynthesisSupply:
     Args:
         sources: what samples are made of.
         request: what is wanted of every sample.
-        seed: of everything that is drawn.
+        seed: seed of everything that is drawn.
         cache: folder of the ground truths that epochs share, or None.
     """
 
@@ -37,7 +37,7 @@ class SynthesisSupply:
 
     @property
     def checksum(self) -> str:
-        """That of the sources."""
+        """The checksum of the sources."""
         return self._sources.checksum
 
     @property

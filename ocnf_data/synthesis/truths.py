@@ -3,7 +3,7 @@
     CACHE/<checksum>/season-000004/<SHA-256 of body and resolution>.oct      as `octree.codec` encodes it
 
 Processes write without a word to one another: whole files by rename, and equal names have equal contents.
-A season's folder goes when the one after the next begins. Damaged files are made anew.
+A season's folder goes when the one after the next begins. Damaged files are made again.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class TruthCache:
     """Ground truths of the bodies of one source in a folder.
 
     Args:
-        folder: of the cache; it need not exist.
-        checksum: of the sources.
+        folder: folder of the cache; it need not exist.
+        checksum: SHA-256 of the sources, their `checksum`.
     """
 
     def __init__(self, folder: Path, checksum: str) -> None:
@@ -39,9 +39,9 @@ class TruthCache:
         """The ground truths of a body, by resolution: from the cache, or made and kept.
 
         Args:
-            season: that the body is of.
+            season: number of the season that the body belongs to.
             body: what it was drawn with beside the season: seed, number, attempt.
-            resolutions: that are wanted.
+            resolutions: the resolutions that are wanted, voxels along each axis.
             make: makes them for these resolutions.
         """
         self._tidy(season)

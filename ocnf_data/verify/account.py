@@ -22,7 +22,7 @@ _MAX_TEXT_BYTES = 2**30  # the plan of a million mesh files has some 270 MB
 
 
 def check_account(store: Store, report: VerifyReport, names: Iterable[str], samples: set[str]) -> None:
-    """Report every input that is lost, counted twice, or came from nowhere.
+    """Report every input that is lost, counted twice, or was never planned.
 
     Args:
         store: the data set's folder.

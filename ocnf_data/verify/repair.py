@@ -55,7 +55,7 @@ def find_damaged(
 
 
 def damaged_shards(report: VerifyReport) -> list[DamagedShard]:
-    """As `find_damaged`, of a report that is there already."""
+    """The damaged shards of a report that `verify` has made; see `find_damaged`."""
     damaged = []
     for path in report.damaged_shards:
         split, _, shard = path.partition("/")
@@ -90,7 +90,7 @@ def restore_index(url: str | Store, split: str, shard: str) -> bool:
 
 
 def restore_catalogues(url: str | Store) -> list[str]:
-    """Write the catalogues anew that are lost, damaged, or not there yet in a data set of an earlier version.
+    """Write again the catalogues that are lost, damaged, or missing in a data set of an earlier version.
 
     They are made from the indices, which must be whole. Where `dataset.json` does not list exactly these, it
     is written again, last; the data set's identity stays.

@@ -15,9 +15,9 @@ class Normalisation:
     scale: float
 
     def apply(self, vertices: F64) -> F64:
-        """Own coordinates (N, 3) to the cube."""
+        """Map points (N, 3) in the mesh's own coordinates to the cube."""
         return (vertices - self.centre) * self.scale
 
     def invert(self, points: F64) -> F64:
-        """The cube (N, 3) to own coordinates."""
+        """Map points (N, 3) in the cube to the mesh's own coordinates."""
         return points / self.scale + self.centre

@@ -88,7 +88,7 @@ def add_sensor_noise(depth: F32, K: F64, draws: SensorDraws, strength: float = 1
     Args:
         depth: (H, W) float32 metres of one view.
         K: (3, 3) intrinsics in pixels.
-        draws: of this view, of the same size.
+        draws: the random numbers of this view, of the same size (H, W).
         strength: 0 is no noise at all, 1 a Kinect; standard deviations, steps and shares are multiplied.
         metres: real metres that one metre of `depth` stands for. Noise grows faster than distance, so it
             matters whether the 3 m cube holds a room or a cup.

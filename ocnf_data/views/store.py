@@ -14,7 +14,7 @@ Fletcher's, and the file format's version is one whose own structures have check
 it 10 % less in 1.5 times the time, lzf 12 % more in 0.7 times. Files with several keys are read too.
 
 The numba rasteriser renders a mesh of ten thousand faces in less time than reading its views takes. Keeping
-them pays where rendering is slow (pyrender, millions of faces) and where something else shall be done with
+them pays where rendering is slow (pyrender, millions of faces) and where something else is to be done with
 them, such as fusing them at another resolution.
 """
 
@@ -57,9 +57,9 @@ class KeptViews:
 
     Attributes:
         views: all views of the rig, without noise.
-        mesh_sha256: of the mesh's file.
+        mesh_sha256: SHA-256 of the mesh's file.
         fingerprint: `view_fingerprint` of the manifest they were rendered for.
-        normalisation: from the mesh's own coordinates to the cube that the cameras look at.
+        normalisation: the map from the mesh's own coordinates to the cube that the cameras look at.
         extent: edge length of that cube, metres.
     """
 
@@ -77,7 +77,7 @@ class ViewStore:
         self._store = Store(url)
 
     def kept(self, keys: Collection[str]) -> list[str]:
-        """Those of the keys that there is a file for, of whatever mesh and cameras."""
+        """Those of `keys` that have a file of kept views, whatever the mesh and cameras."""
         names = set(self._store.list())
         return [key for key in keys if _file_name(key) in names]
 

@@ -52,17 +52,18 @@ def path_from_name(name: str) -> tuple[str, int] | None:
 
 def path_around(n: int, seed: int, key: str, centre: Sequence[float], radius: float,
                 clearance: Clearance | None = None, margin: float = 0.1) -> tuple[F64, F64]:
-    """Cameras on a wavering walk around a point, looking at about it from above.
+    """Cameras on an irregular walk around a point, looking at about it from above.
 
     They go round 0.6 to 1.4 times, at 0.8 to 1.2 times the radius and 10 to 65 degrees above the horizon.
 
     Args:
-        n: cameras.
-        seed: the manifest's.
-        key: the item's.
-        centre: (x, y, z) metres.
-        radius: metres.
-        clearance: see the module; None: nothing is in the way.
+        n: number of cameras.
+        seed: seed of the manifest.
+        key: key of the item.
+        centre: (x, y, z) of the point, metres.
+        radius: mean distance of the cameras from the centre, metres.
+        clearance: gives the distance to the nearest surface in metres (see the module); None: nothing is in
+            the way.
         margin: metres that have to be free around the whole path.
 
     Returns:
@@ -101,13 +102,14 @@ def path_inside(n: int, seed: int, key: str, low: Sequence[float], high: Sequenc
     Arguments but these as for `path_around`.
 
     Args:
-        n: cameras.
-        seed: the manifest's.
-        key: the item's.
+        n: number of cameras.
+        seed: seed of the manifest.
+        key: key of the item.
         low: corner (x, y, z) of the box that the cameras stay in, metres.
         high: the other corner.
-        clearance: see the module.
-        margin: metres.
+        clearance: gives the distance to the nearest surface in metres (see the module); None: nothing is in
+            the way.
+        margin: metres that have to be free around the whole path.
     """
     corner, size = np.array(low, dtype=np.float64), np.subtract(high, low)
     _check(n, float(size.min()), margin)
@@ -146,7 +148,7 @@ class _Waves:
         self._random = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little"))).random
 
     def number(self) -> float:
-        """In [0, 1)."""
+        """A random number in [0, 1)."""
         return float(self._random())
 
     def curve(self, cycles: float) -> Callable[[F64], F64]:

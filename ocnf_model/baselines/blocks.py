@@ -107,11 +107,11 @@ class State:
 
     @property
     def anchored(self) -> bool:
-        """Whether there is an anchor."""
+        """Whether the state has an anchor to be drawn to."""
         return self.anchor_u is not self.u
 
     def drop_anchor(self) -> None:
-        """Take u and p as they are for the anchor."""
+        """Make the current u and p the anchor."""
         self.anchor_u, self.anchor_p = self.u.copy(), self.p.copy()
 
 

@@ -24,7 +24,7 @@ CANDIDATE_WEIGHTS = (0.4, 0.64, 1.0, 1.6, 2.5, 4.0, 6.4)
 _MIN_WEIGHTS = 6
 _MAX_WEIGHTS = 24
 _PLATEAU = 1e-4
-"""Relative: at an end where the MAD falls by less than this from one weight to the next, it has settled."""
+"""The MAD has settled at an end where it falls by less than this share from one weight to the next."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def choose_weight(cases: Iterable[Case], weights: Sequence[float] = CANDIDATE_WE
 
     Args:
         cases: models of one resolution; all are held in memory, at 256^3 some 25 MB each.
-        weights: at least 6, ascending, above 0.
+        weights: at least 6 weights, ascending, above 0.
         iterations: upper limit of each solve, as for `tvl1`.
-        tolerance: of each solve, as for `tvl1`.
+        tolerance: relative gap at which each solve stops, as for `tvl1`.
         progress: called as (weight, model, MAD in mm) after each solve.
 
     Raises:

@@ -31,7 +31,7 @@ from ocnf_model.baselines.passes import FREE, PrimalStep, Votes, dual_pass, ener
 _STEP = 1 / math.sqrt(12)
 """sqrt(t sigma); |grad|^2 <= 12 in 3-D, so t sigma <= 1/12 converges."""
 _RELAXATION = 1.8
-"""Below 2. Measured: about half the iterations of no relaxation (1.0)."""
+"""Relaxation, below 2; takes about half the iterations of no relaxation (1.0), as measured."""
 _CHECK_EVERY = 20
 _PATIENCE, _CIRCLING = 400, 1e-2
 """Where the relative gap is still above the second after so many iterations, the anchored ones take over."""
@@ -50,7 +50,7 @@ class Solution:
         energy: E(u) over all voxels of the grid.
         gap: (E(u) - D(p)) / E(u), which bounds (E(u) - min E) / E(u); 0 where E(u) is 0. Rounding can make
             it negative by about 1e-8.
-        iterations: how many were run.
+        iterations: number of iterations that were run.
     """
 
     state: State

@@ -20,7 +20,7 @@ def volfus_from_encoding(octree: GridOctree, encoding: Encoding) -> GridOctree:
     """
     encoding = Encoding(encoding)
     if encoding not in (Encoding.TSDF, Encoding.TDF_OCCUPANCY):
-        raise OcnfError("VolFus cannot be had from this encoding", where="volfus", field="encoding",
+        raise OcnfError("VolFus cannot be computed from this encoding", where="volfus", field="encoding",
                         found=encoding, expected="tsdf or tdf_occupancy",
                         fix="add tsdf to the encodings of the data set's inputs")
     if octree.channels != encoding.channels:

@@ -14,10 +14,10 @@ class Table:
     """A table of figures, a line a resolution and method.
 
     Attributes:
-        title: what it is of.
-        head: above the columns, after grid and method.
-        cells: of a summary.
-        legend: below.
+        title: title of the table.
+        head: headings of the columns after grid and method.
+        cells: makes the cells of a line out of a summary.
+        legend: text below the table.
         with_ceilings: whether the ground truth has a line too.
     """
 
@@ -75,5 +75,5 @@ TABLES = (
 
 
 def number(value: float, digits: int) -> str:
-    """As tables have it: nothing for NaN."""
+    """The text of a number in a table, empty for NaN."""
     return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -29,11 +29,11 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
     """A PNG of one model's surfaces.
 
     Args:
-        surfaces: by (resolution, method), columns in the order in which they are met; `TRUTH` comes last.
-            What is missing leaves its place empty.
-        title: above all.
-        up: which axis points up.
-        captions: a line below each, likewise; None for none.
+        surfaces: vertices and faces of each surface by (resolution, method), columns in the order in which
+            they are met; `TRUTH` comes last. What is missing leaves its place empty.
+        title: title of the figure.
+        up: the axis that points up, y or z.
+        captions: a line below each surface, by (resolution, method); None for none.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

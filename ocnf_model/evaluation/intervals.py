@@ -17,7 +17,7 @@ class Ratio:
     """A ratio of two means over the same models.
 
     Attributes:
-        value: of all models.
+        value: the ratio over all models.
         low, high: 95 % of the ratios of resamples lie between; NaN for fewer than two models.
     """
 

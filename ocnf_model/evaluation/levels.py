@@ -35,7 +35,7 @@ class Reached:
     """What the network has after one of its levels.
 
     Attributes:
-        reconstruction: of that level, on the CPU.
+        reconstruction: reconstruction of that level, on the CPU.
         seconds: since the inputs were on the device: this level and all before it, structure work included.
     """
 

@@ -30,7 +30,7 @@ from ocnf_model.octree.batch import OctreeBatch
 
 MeshArrays = tuple[F64, I64]
 TRUTH = "Ground truth"
-"""Its label beside those of the methods."""
+"""Label of the ground truth beside those of the methods."""
 Weight = Callable[[str, int], float]
 """TV-L1's weight for a (variant, resolution)."""
 
@@ -40,14 +40,14 @@ class Row:
     """The figures of one method on one model.
 
     Attributes:
-        key, category: of the model.
-        variant: of the input.
+        key, category: key and category of the model.
+        variant: name of the input variant.
         resolution: voxels along each axis.
-        method: its label.
+        method: label of the method.
         mad_mm: over all voxels; NaN where prediction or ground truth is occupancy.
-        iou, precision, recall: of the occupied voxels (TSDF < 0, probability >= 0.5).
-        seconds: from the encoded input to the reconstruction; NaN for what is read from the data set.
-        n_leaves: of the reconstruction.
+        iou, precision, recall: measures of the occupied voxels (TSDF < 0, probability >= 0.5), 0 to 1.
+        seconds: time from the encoded input to the reconstruction; NaN for what is read from the data set.
+        n_leaves: number of leaves of the reconstruction.
         regions: contributions to the MAD by region.
         surface: how the surface lies to the true one.
     """
@@ -103,10 +103,10 @@ class Bench:
     """Runs the methods of a plan on models.
 
     Args:
-        facts: of the data set.
-        plan: which methods, and what they take.
+        facts: what the manifest of the data set says.
+        plan: the methods to run, and what they take.
         weight: TV-L1's.
-        network: for `ours`; on its device, in evaluation mode.
+        network: the network that `ours` runs; on its device, in evaluation mode.
         resolutions: resolutions of the network's levels that the data set has.
         origins: gives the mesh that the surfaces are measured against, if it can.
     """

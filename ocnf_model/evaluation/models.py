@@ -23,12 +23,12 @@ class DatasetFacts:
     """What the manifest of a data set says that matters here.
 
     Attributes:
-        url: of the data set.
+        url: URL of the data set.
         resolutions: ascending.
         variants: the encodings of each input variant.
         is_occupancy: whether the ground truth is occupancy, not TSDF.
         truncation_voxels: tau in voxels of any resolution.
-        taus: the same in metres, by resolution.
+        taus: tau in metres, by resolution.
         extent: size of the cube in metres.
         source: kind of what the data set was made of: `shapes`, `folder`, ...
     """
@@ -70,8 +70,8 @@ class VariantPlan:
     """What a variant is evaluated with.
 
     Attributes:
-        variant: its name.
-        sources: for each method the stored encoding that it takes.
+        variant: name of the input variant.
+        sources: the stored encoding that each method takes.
         seen: the stored encoding that tells best which voxels the inputs see; None where none does.
     """
 
@@ -99,9 +99,9 @@ def plan_variants(facts: DatasetFacts, methods: Sequence[Method], encoding: Enco
     """A plan for each variant that some method can be run on, and notes on what cannot.
 
     Args:
-        facts: of the data set.
-        methods: which of them.
-        encoding: of the network; None without one.
+        facts: what the manifest of the data set says.
+        methods: the methods to plan for.
+        encoding: encoding that the network takes; None without a network.
         required: whether each method has to run on some variant.
 
     Raises:
@@ -151,11 +151,11 @@ class Models:
     """The models of a split and variant, in the data set's own order, each once.
 
     Args:
-        facts: of the data set.
+        facts: what the manifest of the data set says.
         split: `train`, `val` or `test`.
-        variant: of the inputs.
-        encodings: which of them to read; at least one.
-        resolutions: which of them to read.
+        variant: name of the input variant.
+        encodings: the input encodings to read; at least one.
+        resolutions: the resolutions to read, voxels along each axis.
         limit: the first so many only; None for all.
 
     Raises:

@@ -25,7 +25,7 @@ class Origins:
     """Makes the models of a data set again: its mesh, clean views and noisy views.
 
     Args:
-        facts: of the data set.
+        facts: what the manifest of the data set says.
         meshes: the folder that its meshes were read from; None: only procedural shapes can be made again.
     """
 
@@ -38,9 +38,9 @@ class Origins:
         """The mesh's own surface, as far as the views of the rig see it.
 
         Args:
-            model: which.
-            truth: its ground truth at the finest resolution, negative inside.
-            longest: metres; a thickness above is infinite.
+            model: the model to make again.
+            truth: the model's ground truth at the finest resolution, negative inside.
+            longest: largest thickness in metres; one above is infinite.
 
         Raises:
             OcnfError: the mesh is missing, or not the one that the sample was made of.

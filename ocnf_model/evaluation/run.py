@@ -26,7 +26,7 @@ from ocnf_model.network import OctNetFusion
 __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 
 WEIGHTS_FILE = "tvl1.json"
-"""In a run's folder: TV-L1's weights, if no other file is named."""
+"""Name of the file in a run's folder that holds TV-L1's weights, if no other file is named."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Evaluation:
     """What an evaluation found.
 
     Attributes:
-        rows: one a model, variant, resolution and method.
+        rows: one row for each model, variant, resolution and method.
         summaries: their means, by category and over all.
         notes: what was left out or is approximate, a clause each.
         figures: PNG by file name.
@@ -74,17 +74,17 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
     Args:
         run: a training run, or `pretrained`; read only where `ours` is among the methods.
         data: a data set, folder or URL.
-        split: of it.
-        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder of yours, else
+        split: which split of the data set.
+        out: folder for tables and figures; None: RUN/evaluation/SPLIT where RUN is a folder, else
             nothing is written.
-        device: of the network: auto, cpu, cuda, ...
+        device: where the network runs: auto, cpu, cuda, ...
         methods: `ours`, `volfus`, `tvl1`; None: all that the data set has the inputs for.
         weights: TV-L1's, a file that `run_choose_weight` wrote; None: RUN/tvl1.json if there is one, else
             `DEFAULT_WEIGHTS`, and a note says so.
         limit: the first so many models only.
-        n_figures: how many models are drawn, each of another category.
+        n_figures: number of models that are drawn, each of another category.
         up: which axis of the models points up, y or z.
-        console: to print to.
+        console: where the tables are printed.
         meshes: the folder that the data set's meshes were read from: surfaces are then measured against the
             meshes themselves. None: against the meshes where they are procedural, else against the surface
             of the finest ground truth.
@@ -122,18 +122,18 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     """Evaluate a network where it is, or the baselines alone.
 
     Args:
-        network: in evaluation mode; None: the baselines alone.
+        network: the network, in evaluation mode; None: the baselines alone.
         data: a data set, folder or URL.
         resolutions: resolutions of the network's levels; None: the data set's, from the lowest on.
-        split: of it.
-        methods: as for `run_evaluate`.
-        weights: TV-L1's, a file; None: `DEFAULT_WEIGHTS`.
+        split: which split of the data set.
+        methods: `ours`, `volfus`, `tvl1`; None: all that the data set has the inputs for.
+        weights: file with TV-L1's weights; None: `DEFAULT_WEIGHTS`.
         limit: the first so many models only.
-        n_figures: how many models are drawn.
+        n_figures: number of models that are drawn.
         up: which axis of the models points up.
-        console: for the progress; None shows none.
-        title: of the report.
-        meshes: as for `run_evaluate`.
+        console: where the progress is shown; None shows none.
+        title: title of the report.
+        meshes: the folder that the data set's meshes were read from, as for `run_evaluate`.
     """
     facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)

@@ -28,10 +28,11 @@ class Summary:
 
     Attributes:
         category: `all` for the mean over all models, whatever their category.
-        n_models: how many.
-        mad_mm, iou, precision, recall: as of `Row`.
+        n_models: number of models.
+        mad_mm, iou, precision, recall: means of the fields of `Row` with these names.
         seconds: the median, which a first call that compiles does not move; NaN where nothing ran.
-        ratio: of the MAD to VolFus's on the same models, with its interval; NaN where either is not known.
+        ratio: the MAD divided by VolFus's on the same models, with its interval; NaN where either is not
+            known.
         regions: contributions to the MAD.
         surface: measures of the surface; each recall by thickness is the mean over the models that have such
             parts.

@@ -73,7 +73,7 @@ def _print_lines(console: Console, title: str, head: Sequence[str], lines: Seque
 
 def markdown(summaries: Sequence[Summary], title: str, notes: Sequence[str],
              ceilings: Sequence[Summary] = ()) -> str:
-    """The same as Markdown."""
+    """The tables of the means as Markdown."""
     parts = [f"# {title}",
              "MAD is the mean |TSDF - ground truth| over all voxels of the cube, in millimetres. Figures are "
              "means over the models, of runtime the median; VolFus is in the data set and is not run."]

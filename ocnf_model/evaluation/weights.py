@@ -48,11 +48,12 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
     Args:
         data: a data set whose ground truth is TSDF.
         out: the file to write.
-        resolutions: which; None for all.
+        resolutions: the resolutions to choose a weight for; None for all.
         n_models: how many of the split; None: 20 up to 64^3, 10 at 128^3, 5 above. Fewer if there are fewer.
         split: never the one that is reported on.
         weights: at least 6, ascending; the grid grows where the best lies at its end.
-        console: for the progress, and a table after each resolution of each variant; None shows none.
+        console: where the progress is shown, and a table after each resolution of each variant; None shows
+            none.
 
     Raises:
         OcnfError: the data set lacks histograms, a TSDF, the resolution or the split; no grid of weights.

@@ -24,7 +24,7 @@ class SurfaceFigures:
     Attributes:
         chamfer_voxels: Chamfer distance: the mean distance from the reconstruction to the truth and that from
             the truth to the reconstruction, averaged; in voxels of the resolution.
-        chamfer_mm: the same in millimetres of the normalised cube.
+        chamfer_mm: Chamfer distance in millimetres of the normalised cube.
         f_score: F-score at one voxel: the harmonic mean of `surface_precision` and `surface_recall`.
         surface_precision: share of the reconstructed surface within one voxel of the true one.
         surface_recall: share of the true surface within one voxel of the reconstructed one.
@@ -33,8 +33,8 @@ class SurfaceFigures:
             of meshes mean nothing. 1 is best, 0.5 is what random directions have.
         recall_thin: `surface_recall` of the true surface whose local thickness is less than 1.5 voxels of the
             resolution.
-        recall_medium: of that from 1.5 up to 3 voxels.
-        recall_thick: of that from 3 voxels on.
+        recall_medium: `surface_recall` where the thickness is from 1.5 up to 3 voxels.
+        recall_thick: `surface_recall` where the thickness is 3 voxels or more.
 
     A recall is NaN where the model has fewer than 30 of 30,000 samples of such thickness. Without a
     reconstructed surface distances are the cube's size, shares 0; without any true one, too, all is well.
@@ -87,7 +87,7 @@ def f_score(found: Surface, true: Surface, threshold: float, n: int = 10_000) ->
     Args:
         found: the reconstruction.
         true: the truth.
-        threshold: within which a sample counts, in the units of both.
+        threshold: distance within which a sample counts, in the units of both surfaces.
         n: samples of each.
     """
     there, here = (sample_triangles(surface.triangles, n) for surface in (found, true))

@@ -21,7 +21,7 @@ class Reference:
     """What is true of a surface.
 
     Attributes:
-        surface: for distances to it.
+        surface: the triangles that distances are measured to.
         samples: N points spread evenly over its area.
         thickness: (N,) local thickness at them in metres, see `local_thickness`.
     """
@@ -37,7 +37,7 @@ class Reference:
         Args:
             truth: TSDF / tau, or 1 - 2 occupancy, at the finest resolution that there is.
             extent: size of the cube in metres.
-            longest: metres; a thickness above is infinite.
+            longest: largest thickness in metres; one above is infinite.
         """
         surface = Surface.of_octree(truth, extent)
         samples = surface.samples
@@ -52,9 +52,9 @@ class Reference:
         Args:
             triangles: (M, 3, 3) float64 of the normalised mesh, metres, in any winding.
             views: all views of the rig, without noise.
-            truth: for the thickness; as for `of_truth`.
+            truth: the ground truth, which the thickness is measured in, as for `of_truth`.
             extent: size of the cube in metres.
-            longest: metres; a thickness above is infinite.
+            longest: largest thickness in metres; one above is infinite.
         """
         many = sample_triangles(triangles, _FOR_DISTANCES)
         many = many.chosen(visible(many.points, views, extent / max(truth.shape)))

@@ -56,7 +56,7 @@ def seen_by(encoded: OctreeBatch, encoding: Encoding) -> OctreeBatch | None:
 
     Args:
         encoded: an encoding of the input views, as stored or as fused.
-        encoding: which.
+        encoding: encoding of the inputs.
     """
     values = encoded.features
     if encoding is Encoding.HISTOGRAM:
@@ -76,7 +76,7 @@ def mad_by_region(prediction: OctreeBatch, truth: OctreeBatch, seen: OctreeBatch
 
     Args:
         prediction: TSDF / tau; clipped to [-1, 1] here.
-        truth: the same.
+        truth: TSDF / tau, also clipped.
         seen: 1 where an input view counts, 0 elsewhere; of the same resolution, on a structure of its own.
         tau: truncation distance in metres.
     """

@@ -48,7 +48,7 @@ def sample_triangles(triangles: npt.NDArray[np.floating], n: int = N_SAMPLES, se
 
     Args:
         triangles: (M, 3, 3), in metres.
-        n: how many; none where the area is 0.
+        n: number of points; none where the area is 0.
         seed: the same one gives the same points.
     """
     doubled = _doubled_areas(triangles)
@@ -84,12 +84,12 @@ class Surface:
 
     @classmethod
     def of_octree(cls, octree: GridOctree, extent: float) -> Self:
-        """Of a TSDF octree (1 channel, negative inside) by marching cubes, a part a cell; metres."""
+        """The surface of a TSDF octree (1 channel, negative inside), a part for each cell; metres."""
         return cls(*cell_triangles(octree, extent))
 
     @classmethod
     def around(cls, samples: Samples, triangles: F64) -> Self:
-        """Of a mesh of triangles (M, 3, 3), as far as it has samples: a part a sample."""
+        """The surface of a mesh of triangles (M, 3, 3), as far as it has samples: a part a sample."""
         return cls(triangles[samples.triangles].astype(np.float32), np.arange(len(samples) + 1),
                    samples.points.astype(np.float32))
 
@@ -140,7 +140,7 @@ def _nearest(points: F64, parts: I64, first: I64, triangles: F32) -> tuple[F64, 
 
 @njit(cache=True, nogil=True)
 def _squared_distance(point: F64, triangle: F32) -> float:
-    """From a point (3,) to a triangle (3, 3), which may be without area. Scalars only: arrays are slow."""
+    """Squared distance from a point (3,) to a triangle (3, 3), even one without area; scalars for speed."""
     a, b, c = (_minus(triangle[0], point), _minus(triangle[1], point), _minus(triangle[2], point))
     ab, bc, ca = _minus(b, a), _minus(c, b), _minus(a, c)
     normal = _cross(ca, ab)

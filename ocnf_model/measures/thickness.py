@@ -27,7 +27,7 @@ def local_thickness(truth: GridOctree, points: F64, normals: F64, longest: float
         truth: TSDF / tau, 1 channel, negative inside, finest resolution that there is.
         points: (N, 3) of the surface, x y z, metres, the grid's centre being the origin.
         normals: (N, 3) of length 1; which way they point does not matter.
-        longest: metres after which the line is not followed.
+        longest: length in metres after which the line is not followed.
         extent: size of the longest axis of the grid in metres.
 
     Returns:
@@ -41,7 +41,7 @@ def local_thickness(truth: GridOctree, points: F64, normals: F64, longest: float
 
 @njit(cache=True, nogil=True, parallel=True)
 def _follow(volume: F32, points: F64, normals: F64, longest: float) -> F64:
-    """As `local_thickness`, all in voxels; `points` x y z, whole numbers at voxel centres."""
+    """`local_thickness` in voxels; `points` are x y z, whole numbers at voxel centres."""
     found = np.zeros(len(points))
     for n in prange(len(points)):
         point, way = points[n], normals[n]

@@ -91,11 +91,11 @@ class OctreeBatch:
         return voxels.view(shape).permute(0, 4, 1, 2, 3)  # (B, D, H, W, C) -> (B, C, D, H, W)
 
     def with_features(self, features: Tensor) -> OctreeBatch:
-        """The same structure with other features, (L, any C)."""
+        """A batch of the same structure with other features, (L, any C)."""
         return OctreeBatch(self.structure, features)
 
     def refined(self, structure: Structure) -> OctreeBatch:
-        """The same volumes on a structure at least as fine, of the same resolution or twice that."""
+        """These volumes on a structure at least as fine, of the same resolution or twice that."""
         if structure.equals(self.structure):
             return self.with_features(self.features)
         return OctreeBatch(structure, self.map_to(structure)(self.features))
@@ -130,7 +130,7 @@ class OctreeBatch:
 
     @property
     def device(self) -> torch.device:
-        """Where the features are."""
+        """Device of the features."""
         return self.features.device
 
     def __repr__(self) -> str:

@@ -72,7 +72,7 @@ def parent_leaves(
     trees: TreeArray, prefix: Prefix, coarse: TreeArray, coarse_prefix: Prefix, grid: tuple[int, int, int],
     shift: int,
 ) -> I32:
-    """For each leaf, the coarse leaf that holds it: (L,) int32, -1 where that one does not hold all of it.
+    """The coarse leaf that holds each leaf: (L,) int32, -1 where no coarse leaf holds all of it.
 
     `grid` is that of `trees`; the coarse trees have the same resolution (`shift` 0) or half of it (1).
     """

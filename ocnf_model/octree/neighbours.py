@@ -157,7 +157,7 @@ def _around_leaf(cell: I16, leaves: I32, widths: I32, found: I32) -> int:
 def _around_tree(
     trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], t: int, found: I32
 ) -> int:
-    """As `_around_leaf` for a tree of one leaf: most of its neighbours are such trees too."""
+    """What `_around_leaf` does, for a tree of one leaf: most of its neighbours are such trees too."""
     b, gd, gh, gw = tree_place(t, grid)
     n = 0
     for dz in range(-1, 2):

@@ -82,7 +82,7 @@ class Doubling:
         return cls(Structure(trees.reshape(coarse.batch_size, 2 * gd, 2 * gh, 2 * gw, 2)))
 
     def to(self, device: torch.device) -> Doubling:
-        """Itself: there are no tensors."""
+        """This object itself: it holds no tensors."""
         return self
 
 

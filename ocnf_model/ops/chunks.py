@@ -45,7 +45,7 @@ def plan(neighbours: Neighbours, channels: int) -> list[Chunk]:
 
 def gather(neighbours: Neighbours, features: Tensor,
            chunks: Sequence[Chunk]) -> Iterator[tuple[Tensor, Tensor]]:
-    """For each chunk its leaves, (m,) int64, and A_k x of them at all offsets k, (m, 27 C).
+    """The leaves of each chunk, (m,) int64, and A_k x of them at all offsets k, (m, 27 C).
 
     The second tensor is overwritten by the next chunk.
     """

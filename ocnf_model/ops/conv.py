@@ -32,8 +32,8 @@ class OctreeConv3d(nn.Module):
     """conv3d with padding 1 on the expanded volume, then the mean over each leaf; structure unchanged.
 
     Args:
-        in_channels, out_channels: at least 1.
-        bias: whether to add one.
+        in_channels, out_channels: numbers of channels, at least 1.
+        bias: whether to add a bias.
 
     Attributes:
         weight: (C_out, C_in, 3, 3, 3), axes z, y, x; He initialised, for a ReLU to follow.
@@ -62,12 +62,12 @@ class OctreeConv3d(nn.Module):
         return octree_conv(x, self.weight, self.bias)
 
     def extra_repr(self) -> str:
-        """Channels."""
+        """The numbers of channels, and whether there is a bias, for `repr`."""
         return f"{self.in_channels}, {self.out_channels}, bias={self.bias is not None}"
 
 
 def octree_conv(x: OctreeBatch, weight: Tensor, bias: Tensor | None = None) -> OctreeBatch:
-    """As `OctreeConv3d`, with given weight (C_out, C_in, 3, 3, 3) and bias (C_out,).
+    """The convolution of `OctreeConv3d`, with given weight (C_out, C_in, 3, 3, 3) and bias (C_out,).
 
     Raises:
         OcnfError: the features have other channels, another dtype or device than the weight.
@@ -89,7 +89,7 @@ def octree_conv(x: OctreeBatch, weight: Tensor, bias: Tensor | None = None) -> O
 
 
 class _Convolution(torch.autograd.Function):
-    """The module's formulas."""
+    """The forward and the backward pass, by the module's formulas."""
 
     @staticmethod
     def forward(ctx: Any, features: Tensor, weight: Tensor, bias: Tensor | None,

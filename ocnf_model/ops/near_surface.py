@@ -19,7 +19,7 @@ def surface_trees(
     """Trees (8 T, 2) at twice the resolution, with every voxel near the surface split into eight.
 
     Args:
-        trees: of the reconstruction.
+        trees: (T, 2) trees of the reconstruction.
         prefix: `leaf_prefix(trees)`.
         grid: trees along each axis.
         below: (L,) whether each leaf lies below the threshold.
@@ -91,7 +91,7 @@ def _side(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], sides: U
 
 @njit(cache=True, nogil=True)
 def _spread(near: U8, reach: int) -> U8:
-    """Or each voxel with those within `reach`, one axis after the other; exact from `reach` off the faces."""
+    """Bitwise or of each voxel and those within `reach`, axis by axis; exact from `reach` off the faces."""
     size = near.shape[0]
     for _ in range(3):
         turned = np.empty_like(near)  # the last axis becomes the first: three turns bring all back

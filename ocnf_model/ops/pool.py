@@ -18,7 +18,7 @@ class Pooling(StrEnum):
     """What eight voxels become."""
 
     MAX = "max"
-    """The largest; its gradient goes to the first of the largest."""
+    """The largest value; its gradient goes to the first voxel that has it."""
     MEAN = "mean"
 
 

@@ -23,9 +23,10 @@ def split_surface(
 
     Args:
         features: any channels.
-        reconstruction: 1 channel, same size; its structure may be another one.
-        band: in voxels of the finer resolution, at least 0 (0 splits nothing).
-        guide: at twice the resolution of `features`.
+        reconstruction: octrees of 1 channel and the same size; their structure may be another one.
+        band: width of the band that is split, in voxels of the finer resolution, at least 0 (0 splits
+            nothing).
+        guide: octrees at twice the resolution of `features`.
         threshold: what separates the sides, value < threshold from value >= threshold: 0 for a TSDF, 0.5
             for occupancy.
 

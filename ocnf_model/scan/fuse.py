@@ -42,7 +42,7 @@ class FusedMesh:
     Attributes:
         vertices: (N, 3) metres.
         faces: (M, 3), looking outwards.
-        region: what was fused.
+        region: the part of the scan that was fused.
         resolution: voxels along the cube.
         seconds: fusion and reconstruction, without reading the scan and without marching cubes.
         notes: what the reader left out or assumed, and what it warns of.
@@ -66,17 +66,17 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
 
     Args:
         run: a training run, or `pretrained`; read only where the method is `ours`.
-        scan: see `ocnf_data.views.scans`.
+        scan: a scan in any format that `ocnf_data.views.scans` reads.
         out: .ply, .obj, .off or .stl.
         box: x0 y0 z0 x1 y1 z1 in metres, in the scan's coordinates. None: the cube that kept views were
             made for, else the largest fused object (`largest_object`).
         method: `ours`, `volfus` or `tvl1`.
         resolution: voxels along the cube; None: the network's finest, 256 for the baselines.
-        device: of the network.
-        weight: of TV-L1; None: `DEFAULT_WEIGHTS`.
+        device: where the network runs: auto, cpu, cuda, ...
+        weight: weight of TV-L1's data term, above 0; None: that of `DEFAULT_WEIGHTS`.
         every: take every n-th frame only.
         keep_unseen: keep the surfaces that close off what no camera has seen (see `observed`).
-        console: to print to.
+        console: where the summary is printed.
         reading: further arguments of `read_scan`.
 
     Raises:
@@ -120,9 +120,9 @@ class Learned:
     """The network.
 
     Attributes:
-        network: in evaluation mode, where it shall run.
-        resolutions: of its levels, coarse to fine; fewer than it has let it stop early.
-        truncation_voxels: as it was trained with.
+        network: the network in evaluation mode, on the device that it runs on.
+        resolutions: resolutions of its levels, coarse to fine; a shorter list makes it stop early.
+        truncation_voxels: truncation distance in voxels that it was trained with.
     """
 
     network: OctNetFusion

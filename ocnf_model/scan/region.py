@@ -27,7 +27,7 @@ class Region:
 
     Attributes:
         low, high: corners (x, y, z) of the box in metres: surfaces beyond are cut off.
-        size: of the cube in metres; its centre is the box's.
+        size: edge length of the cube in metres; its centre is the box's.
     """
 
     low: tuple[float, float, float]

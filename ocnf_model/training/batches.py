@@ -39,7 +39,7 @@ def make_example(batch: Batch, output: Output, target: str, device: torch.device
         batch: resolutions coarse to fine.
         output: what the network makes.
         target: what the data set holds, `tsdf` or `occupancy`; occupancy is derived from a TSDF.
-        device: for the values.
+        device: where the values are put.
     """
     inputs = [to_octree_batch(octrees, device) for octrees in batch.inputs.values()]
     truth = to_octree_batch(list(batch.targets.values())[-1], device)

@@ -21,7 +21,7 @@ class BestBy(StrEnum):
     """The least MAD * (1 - F-score): a tenth less of the one error is worth a tenth more of the other."""
 
     def cost(self, mad: float, iou: float, f_score: float) -> float:
-        """What is to be small."""
+        """The cost of an epoch, which the best epoch has the least of."""
         if self is BestBy.MAD:
             return mad
         if self is BestBy.IOU:
@@ -35,8 +35,8 @@ def is_better(row: EpochRow, best: EpochRow | None, by: BestBy) -> bool:
     """Whether an epoch is better than the best before it; by MAD where that one's F-score is not known.
 
     Args:
-        row: of the epoch; its `best` is not looked at.
-        best: of the level so far; None at its beginning.
+        row: figures of the epoch; its `best` is ignored.
+        best: figures of the level's best epoch so far; None at its beginning.
         by: the measure.
     """
     if best is None:

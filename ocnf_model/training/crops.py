@@ -37,9 +37,9 @@ def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Seque
     Args:
         truth: where the surface is.
         size: trees along each axis.
-        seed: of the run.
-        epoch: from 0.
-        keys: of the samples.
+        seed: seed of the run.
+        epoch: number of the epoch, from 0.
+        keys: (B,) keys of the samples.
 
     Raises:
         OcnfError: the box is larger than the grid.
@@ -67,11 +67,11 @@ def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I6
 
     Args:
         network: the levels before `level` run without gradients.
-        example: on whole grids.
-        level: from 0.
+        example: inputs and ground truth on whole grids.
+        level: number of the level, from 0.
         corners: (B, 3) in trees.
         size: trees along each axis.
-        loss: of (prediction, target), a mean over voxels.
+        loss: a function of (prediction, target) that gives a mean over voxels.
     """
     with torch.no_grad():
         before = network.run(example.inputs[:level])[-1] if level else None

@@ -24,13 +24,14 @@ class Reporter:
     """Shows the progress of one level on the main rank; on others it is silent.
 
     Args:
-        folder: of the run; TensorBoard's files go to `tensorboard` in it.
-        level: from 1.
+        folder: folder of the run; TensorBoard's files go to `tensorboard` in it.
+        level: number of the level, from 1.
         resolution: voxels along each axis.
-        steps: of the optimiser that are done: TensorBoard forgets later ones, which a killed run made.
-        unit: of the MAD, ` mm` or nothing.
+        steps: number of optimiser steps that are done: TensorBoard forgets later ones, which a killed run
+            made.
+        unit: unit of the MAD, ` mm` or nothing.
         active: whether to show and write anything.
-        console: where to.
+        console: where the progress is shown.
     """
 
     def __init__(self, folder: Path, level: int, resolution: int, steps: int, unit: str, active: bool,

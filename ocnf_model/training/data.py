@@ -38,9 +38,9 @@ class DataSource(Protocol):
     """What `train` needs of its data; levels count from 0, resolutions come coarse to fine."""
 
     where: str
-    """For messages."""
+    """Name of the data, for messages."""
     manifest: dict[str, Any]
-    """Resolved: what values mean."""
+    """The resolved manifest, which says what the values mean."""
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
         """Make what has to be on disk, in the folder of the run; a second call finds it there."""
@@ -56,7 +56,7 @@ class StoredData:
     """A data set that `generate` made, with both splits.
 
     Args:
-        url: its folder or fsspec URL.
+        url: folder or fsspec URL of the data set.
         val: a data set to validate with in its place.
     """
 
@@ -65,7 +65,7 @@ class StoredData:
         self._val = checked_validation(val, self.manifest, url)
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
-        """Everything is there."""
+        """Do nothing: everything is there."""
 
     def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """The training split, all of it in every epoch or as many samples as the settings say."""
@@ -85,10 +85,10 @@ class DrawnData:
     """A manifest, whose training samples are drawn without end.
 
     Args:
-        path: of the YAML.
+        path: path of the YAML file.
         meshes: the folder that its mesh paths are relative to.
         val: a data set to validate with; None makes one of the manifest's split.
-        train_split: that is drawn from.
+        train_split: name of the split that is drawn from.
         categories: only these.
     """
 
@@ -152,7 +152,7 @@ class MixedData:
         self.where, self.manifest = base.where, base.manifest
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
-        """What is validated with."""
+        """Prepare the data set that is validated with."""
         self._base.prepare(folder, settings, console)
 
     def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
@@ -168,7 +168,7 @@ class MixedData:
         return _mix(mixed, settings, level)
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
-        """The base's, in the variant that the settings name or its manifest names first."""
+        """The base's validation set, in the variant that the settings name or its manifest names first."""
         return self._base.validation(folder, with_variant(settings, self.manifest, self.where), level)
 
 
@@ -178,7 +178,7 @@ def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
 
     Args:
         data: path of a manifest (.yaml, .yml, .json), else folder or URL of a data set.
-        settings: of the run.
+        settings: settings of the run.
         meshes: the folder that a manifest's mesh paths are relative to.
         val: a data set to validate with.
     """

@@ -23,8 +23,8 @@ def raised_epochs(ours: TrainSettings, theirs: TrainSettings) -> dict[int, tuple
     Empty where nothing is raised, a level gets fewer, or something else differs that the weights depend on.
 
     Args:
-        ours: of this start.
-        theirs: that the run was begun with.
+        ours: settings of this start.
+        theirs: settings that the run was begun with.
     """
     if ours.levels != theirs.levels or _without_epochs(ours) != _without_epochs(theirs):
         return {}
@@ -47,10 +47,10 @@ def extend(folder: Path, name: str, settings: TrainSettings, raised: Mapping[int
     learning rate that falls by a cosine goes on on the longer curve, so that it rises at first.
 
     Args:
-        folder: of the run.
-        name: of its settings file.
-        settings: of this start.
-        raised: as `raised_epochs` has it.
+        folder: folder of the run.
+        name: name of its settings file.
+        settings: settings of this start.
+        raised: the levels that get more epochs, from `raised_epochs`.
         state: where the run is.
 
     Raises:

@@ -19,7 +19,7 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
         options: fields of `TrainSettings`; None where not given.
         stage_options: fields of `Stage`, each a list such as `50,25`, for the levels from the first on, of
             which the last one holds for all that follow; None where not given.
-        channels: as `16,32,64`.
+        channels: channels of the three resolutions within a level, such as `16,32,64`; None where not given.
 
     Raises:
         OcnfError: a field that is unknown or impossible, by name.

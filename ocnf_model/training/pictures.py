@@ -23,8 +23,9 @@ def draw_slices(rows: Sequence[tuple[GridOctree, GridOctree, GridOctree]], encod
     """A picture with a row a sample: input, reconstruction, ground truth; red is inside, blue is free.
 
     Args:
-        rows: of each sample the input, and the two others as TSDF / tau (or 1 - 2 occupancy).
-        encoding: of the inputs.
+        rows: three octrees a sample: the input, then reconstruction and ground truth as TSDF / tau (or 1 - 2
+            occupancy).
+        encoding: encoding of the inputs.
 
     Returns:
         (H, W, 3) uint8. Each slice is across y, where the ground truth has most of the surface; z points up.

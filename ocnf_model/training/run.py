@@ -55,7 +55,7 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
         out: folder of the run; a new one, or one begun with these settings.
         settings: None for the paper's.
         device: `auto`, `cpu`, `cuda`, `cuda:1`.
-        console: for the progress; None for the terminal's error stream.
+        console: where the progress is shown; None for the terminal's error stream.
         meshes: the folder that a manifest's mesh paths are relative to.
         val: a data set whose split `val` is to be validated with, in state of that of `data`.
 

@@ -39,7 +39,7 @@ class Decay(StrEnum):
     """How the learning rate goes on from its first value."""
 
     NONE = "none"
-    """It stays (the paper)."""
+    """The learning rate stays constant (the paper)."""
     COSINE = "cosine"
     """Half a cosine down to 0 at the end of the level, which short runs profit from."""
 
@@ -68,7 +68,7 @@ class Stage(Strict):
 
         Args:
             done: steps before it.
-            steps: of the whole level.
+            steps: number of steps in the whole level.
         """
         if self.decay is Decay.NONE:
             return self.learning_rate
@@ -81,7 +81,7 @@ class MixturePart(Strict):
     data: str | None = None
     """A data set or a manifest; None for the one that is validated with."""
     meshes: str | None = None
-    """With a manifest: the folder that its mesh paths are relative to; None for the command line's."""
+    """The folder that a manifest's mesh paths are relative to; None for the command line's."""
     variant: str | None = None
     """Name of the inputs in a data set; None for the only one that has the encoding."""
     weight: Annotated[Real, Field(gt=0, le=1e6)] = 1.0
@@ -97,7 +97,7 @@ class TrainSettings(Strict):
     """Voxels along each axis, level by level, each twice the one before; None for the data set's, coarse to
     fine."""
     encoding: Encoding = Encoding.HISTOGRAM
-    """Of the inputs; the data set has to hold it."""
+    """Encoding of the inputs; the data set has to hold it."""
     variant: str | None = None
     """Name of the inputs in the manifest; None for the only one that has the encoding."""
     mixture: Annotated[tuple[MixturePart, ...], NotEmpty] | None = None
@@ -130,7 +130,7 @@ class TrainSettings(Strict):
     """What comes between a convolution and its ReLU."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
-    """One for each level; the last one holds for all that follow."""
+    """Settings for each level; the last ones hold for all levels that follow."""
     seed: Annotated[Int, Field(ge=0)] = 0
     """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE
@@ -174,11 +174,11 @@ class TrainSettings(Strict):
         return list(self.resolutions or sorted(manifest["resolutions"])[: self.levels])[: level + 1]
 
     def resolved(self, manifest: Mapping[str, Any], variant: str | None, where: str) -> TrainSettings:
-        """With what the data set says filled in.
+        """These settings, with what the data set says filled in.
 
         Args:
-            manifest: of the data set.
-            variant: of the inputs that the loader chose.
+            manifest: manifest of the data set.
+            variant: name of the input variant that the loader chose.
             where: the data set, for messages.
 
         Raises:

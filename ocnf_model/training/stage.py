@@ -45,11 +45,11 @@ class Job:
     """What a stage needs.
 
     Attributes:
-        folder: of the run.
+        folder: folder of the run.
         settings: resolved.
-        network: on the device, the levels before this one with their best weights.
+        network: the network on the device, the levels before this one with their best weights.
         training, validation: samples of this level.
-        facts: of the data set.
+        facts: what the manifest of the data set says.
         target: what the data set holds.
         world: this process among the others.
     """
@@ -68,9 +68,9 @@ class Trainer:
     """Trains the level that a state is in, from there to the level's end.
 
     Args:
-        job: see `Job`.
+        job: what the stage needs.
         state: where the run is; kept up to date.
-        tensors: of the state that the run resumes from.
+        tensors: tensors of the state that the run resumes from.
         report: told of every step.
     """
 
@@ -263,5 +263,5 @@ def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
 
 
 def use_one_thread(_: int) -> None:
-    """In a loader's worker: the cores are for the training process. (PyTorch does the same for its own.)"""
+    """Let a loader's worker use one thread, as PyTorch does too: the cores are for the training process."""
     numba.set_num_threads(1)

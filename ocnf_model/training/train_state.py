@@ -27,7 +27,7 @@ STATE: Final = "state.safetensors"
 _SCHEMA: Final = 1
 _WEIGHTS, _ADAM, _RANDOM = "weights.", "adam.", "random."
 _MOMENTS = ("exp_avg", "exp_avg_sq")
-_ANEW = "put a good copy in its place, or move the run's folder away and begin anew"
+_ANEW = "put a good copy in its place, or move the run's folder away and start again"
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,16 @@ class EpochRow:
     """A line of the curves.
 
     Attributes:
-        level, epoch: from 1.
+        level, epoch: numbers of level and epoch, from 1.
         resolution: voxels along each axis.
-        steps: of the optimiser, in this level so far.
+        steps: number of optimiser steps in this level so far.
         train_loss: mean over the epoch's samples, each at the weights when it was met.
         val_mad: millimetres, or for occupancy the mean difference of probabilities.
         val_iou: mean over the validation samples.
         seconds: training and validation, since the last start where it was resumed.
         best: whether it is the level's best so far, by the measure of the settings.
-        val_f_score: of the surface at one voxel; None of a version that did not measure it.
+        val_f_score: F-score of the surface at one voxel, 0 to 1; None where the version that wrote it did not
+            measure it.
     """
 
     level: int
@@ -63,10 +64,10 @@ class TrainState:
     """Where a run is.
 
     Attributes:
-        level: from 0; when all is done it is the last one, whose epochs are all done.
-        epoch: from 0.
+        level: number of the level, from 0; when all is done it is the last one, whose epochs are all done.
+        epoch: number of the epoch, from 0.
         step: batches of the epoch that are done.
-        steps: of the optimiser, in this level.
+        steps: number of optimiser steps in this level so far.
         loss_sum, loss_count: over the samples of the epoch met so far.
         loader: state of the training loader; None at the start of a level.
         rows: the curves so far.
@@ -150,13 +151,13 @@ def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
 
 def check_progress(folder: Path, state: TrainState, epochs: Sequence[int],
                    resolutions: Sequence[int]) -> None:
-    """Refuse a state that no run of these settings comes to.
+    """Refuse a state that no run with these settings can reach.
 
     Args:
-        folder: of the run.
-        state: of the run.
-        epochs: of each level, by the settings.
-        resolutions: of each level.
+        folder: folder of the run.
+        state: state of the run.
+        epochs: number of epochs of each level, by the settings.
+        resolutions: resolution of each level.
 
     Raises:
         OcnfError: code `damaged`, with the field.
@@ -183,9 +184,9 @@ def check_step(folder: Path, state: TrainState, n_batches: int, accumulate: int,
     """Refuse a step within the epoch that does not fit the data set, the optimiser's count or the loader.
 
     Args:
-        folder: of the run.
-        state: of the run.
-        n_batches: of an epoch.
+        folder: folder of the run.
+        state: state of the run.
+        n_batches: number of batches in an epoch.
         accumulate: batches for a step of the optimiser.
         exact: no batch may have been left out, so the optimiser's count is known.
 

@@ -28,8 +28,9 @@ class Validation:
 
     Attributes:
         mad: millimetres, or for occupancy the mean difference of probabilities.
-        iou: of what is occupied.
-        f_score: of the surface at one voxel, against that of the ground truth of the level's resolution.
+        iou: intersection over union of the occupied voxels, 0 to 1.
+        f_score: F-score of the surface at one voxel, 0 to 1, against the ground truth's surface at the
+            level's resolution.
         regions: contributions to the MAD; NaN for occupancy, and where the encoding does not tell what is
             seen.
         picture: (H, W, 3) slices through the first samples of this process; None without any.
@@ -47,7 +48,7 @@ class Validator:
 
     Args:
         output: what the network makes.
-        encoding: of its inputs.
+        encoding: encoding of the inputs.
         tau: truncation distance at the level's resolution, in metres.
     """
 
@@ -64,7 +65,7 @@ class Validator:
 
         Args:
             prediction: the level's reconstruction of the example, in float32.
-            example: its last input is of the level's resolution.
+            example: inputs and ground truth; the last input has the level's resolution.
         """
         is_tsdf = self._output is Output.TSDF
         overlap = tsdf_overlap if is_tsdf else occupancy_overlap
@@ -99,13 +100,13 @@ class Validator:
         return Validation(mad, iou, score, Regions(*regions), picture)
 
     def _signed(self, grid: GridOctree) -> GridOctree:
-        """Negative inside, in [-1, 1]."""
+        """The octree with signed values in [-1, 1], negative inside."""
         values = grid.data if self._output is Output.TSDF else 1 - 2 * grid.data
         return grid.with_data(values.clip(-1, 1))
 
 
 def _f_score(found: GridOctree, true: GridOctree) -> float:
-    """At one voxel; lengths are in voxels here."""
+    """F-score at a distance of one voxel; lengths are in voxels here."""
     size = float(max(true.shape))
     return f_score(Surface.of_octree(found, size), Surface.of_octree(true, size), 1.0)
 

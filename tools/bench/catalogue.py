@@ -202,7 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.sent += len(data) if with_body else 0
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Nothing."""
+        """Log nothing."""
 
 
 @contextmanager

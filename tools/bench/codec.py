@@ -118,7 +118,7 @@ def stored(values: F32, kind: str) -> npt.NDArray:
 
 
 def codes(values: F32, kind: str) -> I16:
-    """The same levels of a TSDF as integers in units of half a step."""
+    """The stored levels of a TSDF as integers in units of half a step."""
     return (stored(values, kind).astype(np.float32) * (2048 if kind == TARGET else 256)).astype(np.int16)
 
 

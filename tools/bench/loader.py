@@ -88,7 +88,7 @@ def write_set(root: Path, octrees: dict[tuple[str, int], GridOctree]) -> dict[st
 
 
 def formats_table(root: Path, raw: RawOctree) -> None:
-    """From the bytes of the tar (or the HDF5 file) to the arrays."""
+    """Time from the bytes of the tar (or the HDF5 file) to the arrays."""
     data = {"stored dtype": raw.data, "float32": raw.to_grid().data}
     trees = np.ascontiguousarray(raw.trees.view(np.uint8)[..., :10])
     sizes: dict[str, int] = {}

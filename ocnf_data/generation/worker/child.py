@@ -2,7 +2,7 @@
 
 It reads requests from its standard input and answers on its standard output (see `frames`), one item at a
 time, so that a mesh which crashes a library or never ends costs this process and nothing else. What libraries
-print goes to standard error. It is started afresh, never forked: forking after OpenGL or a thread pool hangs.
+print goes to standard error. It is never forked: forking after OpenGL or a thread pool hangs.
 
 It ends when its input closes, when its parent dies, and when it has had nothing to do for a while.
 """
@@ -24,7 +24,7 @@ from ocnf_data.generation.worker.memory import resident_bytes
 from ocnf_data.generation.worker.pipe import read_frame, write_frame
 
 IDLE_SECONDS = 120.0
-IDLE_EXIT = 75  # os.EX_TEMPFAIL: ended for want of work, not because of an item
+IDLE_EXIT = 75  # os.EX_TEMPFAIL: ended because there was no work, not because of an item
 _PR_SET_PDEATHSIG = 1
 
 
@@ -93,7 +93,7 @@ def _private_pipes() -> tuple[int, int]:
 
 
 def _die_with(parent: int) -> None:
-    """On Linux, be killed when the parent dies, in the middle of an item too; elsewhere its pipe ends us."""
+    """On Linux, let the parent's death kill this process, even amid an item; elsewhere its pipe does."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before we asked

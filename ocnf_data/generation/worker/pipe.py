@@ -37,7 +37,7 @@ def read_frame(fd: int, deadline: float | None = None) -> tuple[dict[str, Any], 
 
     Args:
         fd: the pipe's reading end.
-        deadline: on the clock of `time.monotonic`; None waits for ever.
+        deadline: time on the clock of `time.monotonic`, in seconds; None waits for ever.
 
     Raises:
         EOFError: the other side closed the pipe between two messages.

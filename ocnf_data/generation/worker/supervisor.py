@@ -27,7 +27,7 @@ from ocnf_data.generation.worker.child import IDLE_EXIT
 from ocnf_data.generation.worker.pipe import BrokenFrameError, read_frame, write_frame
 
 DEFAULT_MAKER = "ocnf_data.generation.sample:maker"
-# Trouble of the machine, not of the item: every other item would fail alike, so the run stops and says so.
+# Faults of the machine, not of the item: every other item would fail too, so the run stops and says so.
 FATAL_CODES = frozenset({"disk_full", "missing_extra"})
 _PIPE_BYTES = 1 << 20
 _START_TRIES = 2
@@ -57,8 +57,8 @@ class ChildLimits:
     """When to give up on a child.
 
     Attributes:
-        item_seconds: for one item, compilation on a machine's very first run included.
-        start_seconds: for starting and importing.
+        item_seconds: seconds allowed for one item, compilation on a machine's very first run included.
+        start_seconds: seconds allowed for starting the child and its imports.
         resident_bytes: a child that holds more than this after an item is replaced before the next.
     """
 
@@ -71,8 +71,8 @@ class ChildDiedError(Exception):
     """The child is gone before it answered.
 
     Attributes:
-        code: `crash` or `timeout`; `idle` where it had ended by itself, for want of work.
-        stage: where the item stood.
+        code: `crash` or `timeout`; `idle` where it had ended by itself because there was no work.
+        stage: name of the stage that the item was in.
     """
 
     def __init__(self, code: str, stage: str, message: str) -> None:
@@ -94,7 +94,7 @@ class Supervisor:
         """The item's sample, or why there is none.
 
         Raises:
-            OcnfError: no child can be started, or the machine is in trouble (`FATAL_CODES`).
+            OcnfError: no child can be started, or the machine is at fault (`FATAL_CODES`).
         """
         deaths = 0
         while True:
@@ -215,10 +215,10 @@ class _Child:
         except subprocess.TimeoutExpired:
             return ChildDiedError("crash", stage, "the process making it sent bytes that are no message")
         if status == IDLE_EXIT:
-            return ChildDiedError("idle", stage, "the process ended for want of work")
+            return ChildDiedError("idle", stage, "the process ended because there was no work")
         how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
         if status == -signal.SIGKILL:
-            how += ", perhaps for want of memory"
+            how += ", perhaps for lack of memory"
         printed = self._last_words()
         message = f"the process making it died ({how})" + (f": {printed}" if printed else "")
         return ChildDiedError("crash", stage, message)

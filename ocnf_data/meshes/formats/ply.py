@@ -188,8 +188,8 @@ def _walk(buffer: U8, at: int, n_rows: int, sizes: I64, count_sizes: I64, big: b
 
     Args:
         buffer: (n,) the data of the file.
-        at: where the element begins.
-        n_rows: how many it has.
+        at: byte at which the element begins.
+        n_rows: number of rows in the element.
         sizes: (P,) bytes a number of each property.
         count_sizes: (P,) bytes of the count of a list, 0 for a scalar.
         big: counts are big-endian.

@@ -32,7 +32,7 @@ __all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
 
 SCAN_FORMATS: dict[str, ScanFormat] = {
     one.name: one for one in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
-"""By the name that `--format` takes."""
+"""The formats of scans by the name that `--format` takes."""
 
 
 def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | int | None = None,
@@ -50,7 +50,7 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         depth_scale: units of the stored depth in a metre, in place of the format's.
         intrinsics: (fx, fy, cx, cy) of the depth maps in pixels, in place of the scan's.
         poses: `camera-to-world` or `world-to-camera`, in place of the format's.
-        pose_scale: metres a unit of the poses' translations.
+        pose_scale: length in metres of a unit of the poses' translations.
         crop: pixels along (left, top, right, bottom) of the depth maps that are not used.
         report: told (frames read, frames in all) after each frame.
 

@@ -35,7 +35,7 @@ class Agreement:
 
     Attributes:
         compared: depths that one frame of a pair measured and that fell onto a measurement of the other.
-        share: of these, how many agree; NaN where nothing was compared.
+        share: share of the compared depths that agree, 0 to 1; NaN where nothing was compared.
         inverse: the share if the poses were meant the other way round.
         millimetres: the share if the translations were millimetres.
     """
@@ -55,8 +55,8 @@ def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
     """Compare pairs of frames that are near in order.
 
     Args:
-        views: as they were read.
-        axes: of the cameras in the file's pose matrices, which the other way round is about.
+        views: the views as they were read.
+        axes: axes of the cameras in the file's pose matrices; needed to try the poses the other way round.
     """
     to_world = np.tile(np.eye(4), (len(views), 1, 1))
     to_world[:, :3, :3] = views.R.swapaxes(1, 2)

@@ -116,7 +116,7 @@ def _npy_size(file: Path, data: bytes) -> tuple[int, int]:
 
 
 def _jpeg_size(file: Path, data: bytes) -> tuple[int, int]:
-    """From the first frame header. A JPEG is markers FF xx, most with a length (big-endian) behind them."""
+    """(H, W) from the first frame header. A JPEG is markers FF xx, most followed by a length (big-endian)."""
     at = 2
     while at + 9 < len(data) and data[at] == 0xFF:
         marker = data[at + 1]

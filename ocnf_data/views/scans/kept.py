@@ -17,7 +17,7 @@ def read_kept_views(place: str, frames: str | int | None = None, every: int = 1)
     """The views of an item, with the cube that they were rendered for.
 
     Raises:
-        OcnfError: see `ocnf_data.views.store`.
+        OcnfError: the views cannot be read (see `ocnf_data.views.store`).
     """
     kept = read_kept(place)
     chosen = choose(len(kept.views), frames, every)

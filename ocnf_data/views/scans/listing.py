@@ -16,7 +16,7 @@ from ocnf_data.files.storage import storage_errors
 from ocnf_data.views.rigs import intrinsics as pinhole
 
 MILLIMETRES = 1e-3
-"""Metres a unit."""
+"""Length in metres of a unit of depth stored in millimetres."""
 
 
 class Direction(StrEnum):
@@ -40,8 +40,8 @@ class Frame:
     """One posed depth map.
 
     Attributes:
-        name: by which it is spoken of.
-        depth: its file.
+        name: name of the frame, for messages.
+        depth: file of the depth map.
         pose: (4, 4) as the format has it; not finite where the tracking was lost.
         where: the file that the pose is from.
         K: (3, 3) of the depth map, pixel centres on integers; None where the scan does not say.
@@ -63,9 +63,9 @@ class Listing:
     """The frames of a scan in order, and what their numbers mean.
 
     Attributes:
-        frames: those with depth and pose.
-        unit: metres a unit of the stored depth.
-        direction, axes: of the pose matrices.
+        frames: the frames that have depth and pose.
+        unit: length in metres of a unit of the stored depth.
+        direction, axes: direction of the pose matrices, and axes of the cameras in them.
         cube: (centre, side) in metres of the space that the scan is about, where the format says.
         notes: a sentence for each thing left out or assumed.
         intrinsics: what to do where K is None.
@@ -85,7 +85,7 @@ class ScanFormat:
     """A format of scans.
 
     Attributes:
-        name: for `--format`.
+        name: the name that `--format` takes.
         holds: what a folder of it holds, for messages.
         fits: whether a folder, by the names in it, is of this format.
         read: the folder's listing.
@@ -104,7 +104,7 @@ class Said:
     Attributes:
         depth_scale: units of the stored depth in a metre (1000: millimetres, 5000: TUM's).
         intrinsics: (fx, fy, cx, cy) in pixels of the depth map.
-        direction: of the pose matrices in the files.
+        direction: what the pose matrices in the files do with a point: camera to world, or world to camera.
         pose_scale: metres a unit of the poses' translations (0.001 for a trajectory in millimetres).
         crop: pixels along (left, top, right, bottom) of each depth map that are not used.
     """

@@ -31,7 +31,7 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     Frames whose pose is not finite (the tracking was lost) are left out, by name, before frames are chosen.
 
     Args:
-        listing: of all frames.
+        listing: all frames of the scan.
         where: the scan, for messages.
         format_name: recorded in the scan.
         frames: how many, or which range (see `choose`).
@@ -66,7 +66,7 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
 
 
 def _intrinsics(frames: Sequence[Frame], listing: Listing, said: Said, where: object) -> F64:
-    """(V, 3, 3)."""
+    """Intrinsics (V, 3, 3) of the depth maps, in pixels."""
     if said.intrinsics is not None:
         return np.tile(pinhole(*said.intrinsics), (len(frames), 1, 1))
     matrices = []

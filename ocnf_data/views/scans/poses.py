@@ -23,8 +23,8 @@ def to_camera(poses: F64, names: Sequence[object], direction: Direction, axes: A
         poses: (V, 4, 4) rigid motions.
         names: what to call each one in an error.
         direction: what the matrices do with a point.
-        axes: of the cameras, on the camera's side of the matrix.
-        scale: metres a unit of the translations.
+        axes: axes of the cameras, on the camera's side of the matrix.
+        scale: length in metres of a unit of the translations.
 
     Raises:
         OcnfError: a matrix that is not finite, or not rigid, by its name.

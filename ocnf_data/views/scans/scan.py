@@ -43,13 +43,13 @@ class Scan:
 
     Attributes:
         views: depth in metres, 0 where there is no measurement.
-        names: of the V frames.
+        names: names of the V frames.
         cube: (centre (x, y, z), side) in metres of the space that the views were made for, where it is known.
         notes: what was left out or assumed, a sentence each.
         warnings: what looks wrong, with figures, a sentence each.
-        colour: where the scan has it.
+        colour: colour images, where the scan has them.
         format: the name of the format it was read from.
-        agreement: of neighbouring frames; None where it was not looked at.
+        agreement: how far neighbouring frames agree; None where this was not measured.
     """
 
     views: Views
@@ -82,7 +82,7 @@ class Scan:
             depth_scale: units in a metre.
             direction: `camera-to-world` or `world-to-camera`.
             axes: `opencv` (x right, y down, z forward) or `opengl` (y up, z backward) of the cameras.
-            names: of the frames.
+            names: names of the V frames.
 
         Raises:
             OcnfError: shapes that do not fit, a pose that is not finite or not rigid (with the frame's name),

@@ -14,10 +14,10 @@ def choose(n: int, frames: str | int | None = None, every: int = 1) -> list[int]
     """Positions, ascending, of the chosen among n frames in the order of the scan.
 
     Args:
-        n: how many there are.
+        n: number of frames in the scan.
         frames: None: all. A number: that many, spread evenly from the first to the last, all where there are
             fewer. `START:STOP` or `START:STOP:STEP`: as Python's slices, STOP left out, either may be empty.
-        every: of these, take every n-th only.
+        every: take only every n-th of the frames that `frames` chooses.
 
     >>> choose(250, 3), choose(250, "100:120:5"), choose(10, every=4)
     ([0, 124, 249], [100, 105, 110, 115], [0, 4, 8])

@@ -24,7 +24,7 @@ def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = N
 
     Args:
         points: (N, 3) world coordinates in metres.
-        scan: with colour.
+        scan: a scan that has colour.
         band: metres, about the truncation that the points were fused with.
         normals: (N, 3) unit vectors of the surface, outwards; None: the angle does not count.
 
