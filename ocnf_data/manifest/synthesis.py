@@ -97,5 +97,5 @@ class Synthesis(Strict):
     noise: Weights[NoiseModel] = Field(default={NoiseModel.GAUSSIAN: 1.0}, validate_default=False)
     """The noise model: a name, or names with weights."""
     repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
-    """For so many epochs sample i keeps its mesh, rotation and scale, while its views, noise and symmetry are
-    drawn again. Its ground truth, most of the work, is then made once and kept in a cache."""
+    """Number of epochs in which sample i keeps its mesh, rotation and scale, while its views, noise and
+    symmetry are drawn again each time. Its ground truth, most of the work, is then made once and kept in a cache."""
