@@ -98,4 +98,5 @@ class Synthesis(Strict):
     """The noise model: a name, or names with weights."""
     repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
     """Number of epochs in which sample i keeps its mesh, rotation and scale, while its views, noise and
-    symmetry are drawn again each time. Its ground truth, most of the work, is then made once and kept in a cache."""
+    symmetry are drawn again each time. Its ground truth, most of the work, is then made once and kept in a
+    cache."""
