@@ -45,7 +45,7 @@ class Look:
     """How an input sees it.
 
     Attributes:
-        directions: (k, 3), of the cameras, as rigs have them.
+        directions: (k, 3) directions of the cameras, as rigs have them.
         views: what tells the noise of one view from another's: numbers in the rig, or 0 .. k-1.
         noise: model of the noise.
         sigma: standard deviation of the noise of `park`, as a fraction of the depth.
