@@ -98,8 +98,7 @@ class Header(Strict):
         level: number of the level, from 1.
         resolution: voxels along each axis.
         epoch, steps: when the weights were taken: epochs done, steps of the optimiser done.
-        metrics: figures of the validation samples (`mad_mm`, or `mad` for occupancy; `iou`), and
-            `train_loss`.
+        metrics: figures of the validation (`mad_mm`, or `mad` for occupancy; `iou`), and `train_loss`.
         settings: the settings of the run that the weights depend on.
         built_on: SHA-256 of the file of the level before.
         torch: version of PyTorch.

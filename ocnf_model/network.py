@@ -191,8 +191,7 @@ class OctNetFusion(nn.Module):
         join: `concat` (the paper) or `add`.
         carry: `features` (the paper) or `reconstruction`.
         output: `tsdf` or `occupancy`.
-        channels: number of channels at the three resolutions within a level; smaller numbers make a smaller
-            network.
+        channels: numbers of channels at the three resolutions within a level; they set the network's size.
         band: how far from the surface `split_surface` splits, in fine voxels.
         context: width of the first level's `DenseContext`, which looks at the whole volume; 0 for none (the
             paper). Later levels get what it finds with the features that are carried up.

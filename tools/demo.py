@@ -1,4 +1,4 @@
-"""From nothing to a verified data set, pictures and reconstructions: what `make demo` runs.
+"""Make a verified data set, pictures and reconstructions from nothing: what `make demo` runs.
 
 python tools/demo.py --out demo-out                  procedural shapes
 python tools/demo.py --out demo-out --meshes DIR     24 of the meshes in a folder of your own

@@ -1,4 +1,4 @@
-"""From nothing to a trained network that is compared with its baselines: what `make demo TRAIN=1` runs.
+"""Train a network from nothing and compare it with its baselines: what `make demo TRAIN=1` runs.
 
 python tools/demo_train.py --out demo-out --seed 0
 

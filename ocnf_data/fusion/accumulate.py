@@ -41,7 +41,7 @@ def project(camera: F64, offsets: F64, z: int, y: int, x: int, pixels: I32, dept
 @njit(cache=True, nogil=True, error_model="numpy")
 def project_edge(camera: F64, offsets: F64, z: int, y: int, x: int, pixels: I32, depths: F64,
                  size: tuple[int, int]) -> None:
-    """Like `project` for any cell; the pixel is -1 for voxels outside the image or not before the camera."""
+    """`project` for any cell; the pixel is -1 for voxels outside the image or not before the camera."""
     height, width = size
     u0 = camera[0] * x + camera[1] * y + camera[2] * z + camera[3]
     v0 = camera[4] * x + camera[5] * y + camera[6] * z + camera[7]

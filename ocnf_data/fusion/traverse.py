@@ -1,4 +1,4 @@
-"""From root cubes of 32^3 voxels down to cells of 4^3, straight into trees and leaves.
+"""Fuse root cubes of 32^3 voxels down to cells of 4^3, straight into trees and leaves.
 
 At each size a view that says FREE or NOTHING about a cube is settled for all of it; only the others go on to
 its eight parts. A cube that is settled is constant: a leaf a tree, without a voxel evaluated. No dense

@@ -1,4 +1,4 @@
-"""From a manifest to a data set on disk: planned, made in parallel, resumable, every input accounted for.
+"""Make a data set on disk from a manifest: planned, parallel, resumable, every input accounted for.
 
 Names resolve on first use: a worker that imports `shard_task` needs no numpy, and stays small.
 """

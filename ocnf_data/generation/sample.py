@@ -70,7 +70,7 @@ def make_sample(
         known: store that may hold the mesh's views by this manifest's cameras; where it does not, they are
             rendered. Which of the two happens does not show in the sample.
         keep: store in which the views are kept for other runs.
-        stages: told of each stage and its time.
+        stages: records each stage and its time.
 
     Raises:
         OcnfError: the mesh cannot be used, with the code of `read_mesh`; `changed` where the file is not the

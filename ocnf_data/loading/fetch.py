@@ -1,4 +1,4 @@
-"""From a sample's number to its checked octrees: the work that a loader's worker process does.
+"""Read a sample's checked octrees, given its number: the work that a loader's worker process does.
 
 Reading is by offset, so any order of samples will do, and members that nobody asked for are never touched.
 Every check of `shards.reader` is made on every read: header, padding and SHA-256 of each member, the size of

@@ -1,4 +1,4 @@
-"""In which order an epoch's samples are met, and which of them make batch i of rank r.
+"""The order in which an epoch's samples are met, and which of them make batch i of rank r.
 
 Both are pure functions; nothing here knows of workers, files or time.
 

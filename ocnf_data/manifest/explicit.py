@@ -21,7 +21,7 @@ class ListEntry(Strict):
     path: Annotated[str, Field(min_length=1)]
     """Path of the mesh file, relative to the root."""
     category: Annotated[str, Field(min_length=1)] = "mesh"
-    """Its category, by which the loader selects and the evaluation groups."""
+    """Category of the mesh, by which the loader selects and the evaluation groups."""
     key: str | None = None
     """Name of the sample; letters, digits, `_` and `-`, each once. None derives it from the path."""
 

@@ -140,7 +140,7 @@ class GridOctree:
         return self.data[dense.leaves_at(flat, self.prefix, gh, gw, voxels.astype(np.int64))]
 
     def with_data(self, data: F32) -> GridOctree:
-        """The same trees with other values, (n_leaves, any C) float32."""
+        """An octree of the same trees with other values, (n_leaves, any C) float32."""
         return self.trusted(self.trees, _check_data(data, self.n_leaves))
 
     def write_oc(self, path: str | os.PathLike[str]) -> None:

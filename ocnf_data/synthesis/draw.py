@@ -45,11 +45,11 @@ class Look:
     """How an input sees it.
 
     Attributes:
-        directions: (k, 3), of the cameras, as rigs have them.
+        directions: (k, 3) directions of the cameras, as rigs have them.
         views: what tells the noise of one view from another's: numbers in the rig, or 0 .. k-1.
         noise: model of the noise.
-        sigma: of `park`: its standard deviation, as a fraction of the depth.
-        strength: of `kinect`: 0 is none, 1 that of the sensor.
+        sigma: standard deviation of the noise of `park`, as a fraction of the depth.
+        strength: strength of the noise of `kinect`: 0 is none, 1 that of the sensor.
         seed, key: what the noise depends on beside the view (see `views.noise`).
     """
 

@@ -1,4 +1,4 @@
-"""From a body and a look to octrees, by generation's own functions, rounded as shards store them.
+"""Make octrees of a body and a look, by generation's own functions, rounded as shards store them.
 
 So a sample with the rotation, views and noise of a generated one is equal to it bit for bit.
 """

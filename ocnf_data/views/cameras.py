@@ -78,7 +78,7 @@ class Views:
         return Views(self.depth[index], self.K[index], self.R[index], self.T[index])
 
     def with_depth(self, depth: F32) -> Views:
-        """The same cameras with other depth maps (V, H, W)."""
+        """Views of these cameras with other depth maps (V, H, W)."""
         return Views(depth, self.K, self.R, self.T)
 
 

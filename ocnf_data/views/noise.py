@@ -23,7 +23,7 @@ class NoiseModel(StrEnum):
     PARK = "park"
     """Every pixel by itself, in proportion to its depth (`views.noise`)."""
     KINECT = "kinect"
-    """As a structured-light sensor does (`views.sensor`)."""
+    """The noise of a structured-light sensor (`views.sensor`)."""
 
 
 def view_noise(seed: int, key: str, view: int, size: tuple[int, int]) -> F32:

@@ -77,7 +77,7 @@ class ViewStore:
         self._store = Store(url)
 
     def kept(self, keys: Collection[str]) -> list[str]:
-        """Those of `keys` that have a file of kept views, whatever the mesh and cameras."""
+        """The keys among `keys` that have a file of kept views, whatever the mesh and cameras."""
         names = set(self._store.list())
         return [key for key in keys if _file_name(key) in names]
 

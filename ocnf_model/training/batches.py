@@ -1,4 +1,4 @@
-"""From the loader's batches to what the network and the losses take."""
+"""Turn the loader's batches into what the network and the losses take."""
 
 from __future__ import annotations
 

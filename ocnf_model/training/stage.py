@@ -71,7 +71,7 @@ class Trainer:
         job: what the stage needs.
         state: where the run is; kept up to date.
         tensors: tensors of the state that the run resumes from.
-        report: told of every step.
+        report: shows the progress; called at every step.
     """
 
     def __init__(self, job: Job, state: TrainState, tensors: dict[str, Tensor], report: Reporter) -> None:

@@ -93,7 +93,7 @@ def _private_pipes() -> tuple[int, int]:
 
 
 def _die_with(parent: int) -> None:
-    """On Linux, let the parent's death kill this process, even amid an item; elsewhere its pipe does."""
+    """Let the parent's death kill this process on Linux, even in mid-item; elsewhere its pipe ends it."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before we asked

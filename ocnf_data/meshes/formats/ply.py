@@ -149,7 +149,7 @@ def _parse_ascii(body: bytes, elements: list[_Element], where: str) -> tuple[F64
 
 
 def _parse_binary(body: bytes, elements: list[_Element], where: str) -> tuple[F64, I64, I64, I64]:
-    """Like `_parse_ascii`; the corners come back packed, one polygon after the other."""
+    """What `_parse_ascii` returns; the corners are packed, one polygon after the other."""
     buffer = np.frombuffer(body, np.uint8)
     vertices = np.empty((0, 3))
     corners = first = n_corners = np.empty(0, np.int64)

@@ -1,4 +1,4 @@
-"""From a listing to a scan: choose frames, check poses, decode depth, look whether the frames agree."""
+"""Make a scan of a listing: choose frames, check poses, decode depth, look whether the frames agree."""
 
 from __future__ import annotations
 
