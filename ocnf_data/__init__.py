@@ -14,6 +14,7 @@ _HOME = {
     "GridOctree": "octree",
     "OcnfError": "errors",
     "Report": "generation",
+    "Scan": "views.scans",
     "ShardDataset": "loading.dataset",
     "SynthesisDataset": "synthesis.dataset",
     "Views": "views.cameras",
@@ -23,6 +24,8 @@ _HOME = {
     "fuse_tsdf": "fusion",
     "generate": "generation",
     "load_manifest": "manifest",
+    "octree_surface": "octree.surface",
+    "read_scan": "views.scans",
     "render_depth": "render",
 }
 
@@ -30,6 +33,7 @@ __all__ = [
     "GridOctree",
     "OcnfError",
     "Report",
+    "Scan",
     "ShardDataset",
     "SynthesisDataset",
     "Views",
@@ -40,6 +44,8 @@ __all__ = [
     "fuse_tsdf",
     "generate",
     "load_manifest",
+    "octree_surface",
+    "read_scan",
     "render_depth",
 ]
 
@@ -50,9 +56,11 @@ if TYPE_CHECKING:
     from ocnf_data.loading.dataset import ShardDataset
     from ocnf_data.manifest import load_manifest
     from ocnf_data.octree import GridOctree
+    from ocnf_data.octree.surface import octree_surface
     from ocnf_data.render import render_depth
     from ocnf_data.synthesis.dataset import SynthesisDataset
     from ocnf_data.views.cameras import Views
+    from ocnf_data.views.scans import Scan, read_scan
 
 
 def __getattr__(name: str) -> Any:

@@ -60,7 +60,7 @@ ARROWS = {
     "ocnf_data.verify": "ocnf_data.errors ocnf_data.files ocnf_data.octree ocnf_data.shards",
     "ocnf_data.version": "",
     "ocnf_data.views": "ocnf_data.arrays ocnf_data.errors ocnf_data.files",
-    "ocnf_model": "ocnf_model.network ocnf_model.octree ocnf_model.ops",
+    "ocnf_model": "ocnf_model.network ocnf_model.octree ocnf_model.ops ocnf_model.scan",
     "ocnf_model.baselines":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.metrics",
     "ocnf_model.checkpoint":
