@@ -1,4 +1,4 @@
-"""What the command lines and tools share: an error is one red sentence and exit status 1; narrow tables."""
+"""What the command lines share: errors as one red sentence and exit status 1, the version, narrow tables."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.version import __version__
 
 
 def print_error(sentence: str, console: Console) -> None:
@@ -28,6 +29,13 @@ def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> No
             raise
         print_error(str(error), console)
         sys.exit(1)
+
+
+def show_version(wanted: bool) -> None:
+    """What `--version` of either command line does."""
+    if wanted:
+        typer.echo(f"ocnf {__version__}")
+        raise typer.Exit
 
 
 def narrow_table(title: str) -> Table:

@@ -5,17 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, refused
 from ocnf_data.manifest.entries import SPLITS, Entry, given
 from ocnf_data.meshes.formats import FORMATS
+
+Pattern = Annotated[str, Field(min_length=1)]
 
 
 class SplitShares(Strict):
@@ -36,7 +40,9 @@ class SplitShares(Strict):
 class FolderSource(Strict):
     """Every mesh below a folder. A mesh's category is the first folder of its path, `mesh` at the top.
 
-    Chance decides on its split, drawn from (seed, path) alone: adding files moves no other file.
+    Chance decides on its split, drawn from (seed, path) alone: adding files moves no other file. Only where
+    chance leaves a share above 0 without a mesh, it takes one from the largest split: the one whose draw came
+    nearest. Small sets so have something of everything that was asked for.
     """
 
     kind: Literal["folder"]
@@ -46,17 +52,75 @@ class FolderSource(Strict):
     shares: SplitShares = SplitShares(train=0.8, val=0.1, test=0.1)
     at_most: Annotated[Int, Field(ge=1)] | None = None
     """Take only so many meshes, drawn from (seed, path); None takes all."""
+    include: tuple[Pattern, ...] = ()
+    """Take only meshes whose path from the root fits one of these patterns; none takes all. `*` stands for
+    any letters, `/` among them, `?` for one, `[ab]` for one of several: `*/models/*.obj`."""
+    exclude: tuple[Pattern, ...] = ()
+    """Leave out meshes whose path from the root fits one of these patterns."""
+    category_part: Int = 0
+    """Which folder of a mesh's path names its category: 0 is the first below the root, -1 the one that the
+    file lies in. `mesh` where the path has no such folder."""
+
+    _fills: bool = PrivateAttr(default=True)
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Fields that came later are left out at their defaults: data sets keep the bytes that they had."""
+        fields: dict[str, Any] = plain(self)
+        for name in ("include", "exclude", "category_part"):
+            if getattr(self, name) == type(self).model_fields[name].default:
+                del fields[name]
+        return fields
+
+    def by_chance_alone(self) -> FolderSource:
+        """The same, but a share that chance leaves empty stays empty: how data sets were made at first."""
+        copy = self.model_copy()
+        copy._fills = False
+        return copy
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """The splits with a share above 0."""
+        return tuple(split for split in SPLITS if getattr(self.shares, split))
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
         """By split and path."""
         base = given(root)
-        paths = sorted(_meshes_below(base), key=lambda path: _chance(seed, path)[0])[:self.at_most]
-        if not paths:
+        there = list(_meshes_below(base))
+        taken = [path for path in there if self._takes(path)]
+        if not taken:
             raise OcnfError("no mesh found", code="empty", where=base, field="source.root",
+                            found=f"{len(there)} meshes, none of which the patterns take" if there else None,
                             expected=f"files *{', *'.join(FORMATS)} in it or in its folders")
-        found = [Entry(split=self._split(_chance(seed, path)[1]),
-                       category=path.split("/")[0] if "/" in path else "mesh", path=path) for path in paths]
+        paths = sorted(taken, key=lambda path: _chance(seed, path)[0])[:self.at_most]
+        chances = {path: _chance(seed, path)[1] for path in paths}
+        splits = {path: self._split(chance) for path, chance in chances.items()}
+        if self._fills:
+            self._fill(splits, chances)
+        found = [Entry(split=splits[path], category=self._category(path), path=path) for path in paths]
         return sorted(found, key=lambda entry: (SPLITS.index(entry.split), entry.path))
+
+    def _takes(self, path: str) -> bool:
+        wanted = not self.include or any(fnmatchcase(path, pattern) for pattern in self.include)
+        return wanted and not any(fnmatchcase(path, pattern) for pattern in self.exclude)
+
+    def _category(self, path: str) -> str:
+        folders = path.split("/")[:-1]
+        inside = -len(folders) <= self.category_part < len(folders)
+        return folders[self.category_part] if inside else "mesh"
+
+    def _fill(self, splits: dict[str, str], chances: dict[str, float]) -> None:
+        """Give each share that has no mesh one of the largest split's, if that has two."""
+        for split in self.asked:
+            counts = Counter(splits.values())
+            largest = max(SPLITS, key=lambda name: counts[name])
+            if counts[split] or counts[largest] < 2:
+                continue
+            low = sum(getattr(self.shares, before) for before in SPLITS[:SPLITS.index(split)])
+            high = low + getattr(self.shares, split)
+            nearest = min((path for path in splits if splits[path] == largest),
+                          key=lambda path: (max(low - chances[path], chances[path] - high), path))
+            splits[nearest] = split
 
     def _split(self, chance: float) -> str:
         last = [split for split in SPLITS if getattr(self.shares, split)][-1]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ocnf_data.arrays import F64, I64
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.meshes.formats.polygons import check_face_count, check_indices, unreadable
 
 _JSON_CHUNK = 0x4E4F534A
@@ -29,8 +29,7 @@ def parse_glb(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
     try:
         import trimesh
     except ImportError as error:
-        raise OcnfError("GLB files need trimesh", code="missing_extra", where=where,
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("GLB files need trimesh", "generate", where) from error
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True)
         placed = [(matrix, scene.geometry[name]) for matrix, name in
