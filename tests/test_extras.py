@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -27,7 +29,7 @@ def test_the_last_line_can_be_pasted(tmp_path: Path, library: str, extra: str, c
     """In a process that cannot import the library."""
     (tmp_path / "demo.yaml").write_text((ROOT / "manifests/demo.yaml").read_text())
     (tmp_path / "views.h5").touch()
-    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(8))
+    cv2.imwrite(str(tmp_path / "a.png"), np.ones((2, 2), np.uint16))
     program = (f"import sys; sys.modules['{library}'] = None\n"
                f"import numpy as np, typer\nfrom rich.console import Console\n"
                f"from ocnf_data.terminal import run_app\ndef app():\n    {code}\n"

@@ -54,7 +54,8 @@ def test_a_newcomers_first_commands(wheel: Path, tmp_path: Path) -> None:
     site, work = tmp_path / "site", tmp_path / "work"
     pip("install", "--target", site, wheel)
     work.mkdir()
-    env = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200", "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    env = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200",
+           "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
 
     def run(*command: object, status: int = 0) -> str:
         program, *arguments = map(str, command)

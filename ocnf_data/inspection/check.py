@@ -40,7 +40,7 @@ ON_SURFACE = 0.9  # share of seen mesh points within 1.5 voxels of a zero crossi
 
 
 @dataclass(frozen=True)
-class Check:
+class Finding:
     """One line of the table."""
 
     key: str
@@ -69,7 +69,7 @@ def distances(views: Views, points: F64) -> tuple[F64, Bool]:
     return out, tie
 
 
-def evaluate(distance: F64, encoding: Encoding, tau: float, voxel: float) -> F64:
+def values_of(distance: F64, encoding: Encoding, tau: float, voxel: float) -> F64:
     """(N, C) values of an encoding, in units of tau, from (V, N) distances."""
     if encoding is Encoding.OCCUPANCY:
         return np.where((np.nan_to_num(distance, nan=-1.0) > voxel).any(axis=0), 0.0, 1.0)[:, None]
@@ -104,7 +104,7 @@ def check_cells(octree: GridOctree, views: Views, encoding: Encoding, tau: float
     cells = choose_cells(octree, n, rng)
     points = ((cells[:, ::-1] + 0.5) * voxel - extent / 2).astype(np.float64)
     distance, tie = distances(views, points)
-    truth = evaluate(distance, encoding, tau, voxel)[~tie]
+    truth = values_of(distance, encoding, tau, voxel)[~tie]
     stored = octree.gather(cells)[~tie].astype(np.float64)
     error = np.abs(stored - truth)
     # Where a rule steps, float32 and float64 may fall on either side.
@@ -157,7 +157,7 @@ def _seen_points(views: Views) -> Iterator[F64]:
 
 
 def check_sample(sample: StoredSample, manifest: Manifest, meshes: Path | None, n_cells: int,
-                 seed: int) -> Iterator[Check]:
+                 seed: int) -> Iterator[Finding]:
     """All checks of one sample."""
     remade = remake(manifest, sample.facts, meshes)
     extent = manifest.normalise.extent
@@ -169,19 +169,19 @@ def check_sample(sample: StoredSample, manifest: Manifest, meshes: Path | None, 
         target = sample.octree(name)
         if not occupancy:
             found = check_cells(target, remade.views, Encoding.TSDF, tau, extent, TARGET_ERROR, n_cells, rng)
-            yield Check(sample.key, name, "cells", *found)
+            yield Finding(sample.key, name, "cells", *found)
         kind = Encoding.OCCUPANCY if occupancy else Encoding.TSDF
-        yield Check(sample.key, name, "range", *check_range(target, kind))
+        yield Finding(sample.key, name, "range", *check_range(target, kind))
         surface = check_surface(target, remade.views, 0.5 if occupancy else 0.0, extent)
-        yield Check(sample.key, name, "surface", *surface)
+        yield Finding(sample.key, name, "surface", *surface)
         for variant in manifest.inputs:
             for encoding in variant.encodings:
                 name = input_member(variant.name, encoding, res)
                 octree = sample.octree(name)
                 found = check_cells(octree, remade.observed[variant.name], encoding, tau, extent, INPUT_ERROR,
                                     n_cells, rng)
-                yield Check(sample.key, name, "cells", *found)
-                yield Check(sample.key, name, "range", *check_range(octree, encoding))
+                yield Finding(sample.key, name, "cells", *found)
+                yield Finding(sample.key, name, "range", *check_range(octree, encoding))
 
 
 def run_check(url: str, meshes: Path | None, n_samples: int, n_cells: int, seed: int, every_row: bool,
@@ -205,7 +205,7 @@ def run_check(url: str, meshes: Path | None, n_samples: int, n_cells: int, seed:
     root = manifest.meshes_root(meshes)
     everything = list(stored_samples(url))
     chosen = random.Random(seed).sample(everything, min(n_samples, len(everything)))
-    checks: list[Check] = []
+    checks: list[Finding] = []
     for i, sample in enumerate(chosen):
         console.print(f"checking {sample.key} ({i + 1} of {len(chosen)})", style="dim", markup=False)
         checks += check_sample(sample, manifest, root, n_cells, seed)

@@ -12,19 +12,19 @@ from ocnf_data.encodings import Encoding
 
 _out = Console(emoji=False, soft_wrap=True)
 
-Folder = Annotated[str, typer.Argument(metavar="DIR", help="A data set: a folder, or an fsspec URL.")]
-Meshes = Annotated[Path | None, typer.Option(
+_Folder = Annotated[str, typer.Argument(metavar="DIR", help="A data set: a folder, or an fsspec URL.")]
+_Meshes = Annotated[Path | None, typer.Option(
     metavar="ROOT", help="The folder that the meshes were read from. [what the manifest says]")]
 
 
 def show_command(
-    data: Folder,
+    data: _Folder,
     key: Annotated[list[str] | None, typer.Option(
         metavar="PART", help="Draw the sample whose key has this in it; may be repeated. "
                              "[the first of each split]")] = None,
     random_: Annotated[int, typer.Option("--random", min=0, help="Draw this many samples at random.")] = 0,
     seed: Annotated[int, typer.Option(help="Of --random.")] = 0,
-    meshes: Meshes = None,
+    meshes: _Meshes = None,
     variant: Annotated[str | None, typer.Option(help="Which input. [the first]")] = None,
     encoding: Annotated[Encoding | None, typer.Option(help="Which encoding. [the input's first]")] = None,
     up: Annotated[str, typer.Option(help="Which axis of the meshes points up: y or z.")] = "z",
@@ -57,7 +57,7 @@ def show_command(
 
 
 def stats_command(
-    data: Folder,
+    data: _Folder,
     split: Annotated[str | None, typer.Option(help="Only this split.")] = None,
     out: Annotated[Path, typer.Option("--out", "--plot", metavar="FILE", help="Where the plot goes.")] =
         Path("pictures/stats.png"),
@@ -75,8 +75,8 @@ def stats_command(
 
 
 def check_command(
-    data: Folder,
-    meshes: Meshes = None,
+    data: _Folder,
+    meshes: _Meshes = None,
     samples: Annotated[int, typer.Option(min=1, help="How many samples to check.")] = 3,
     cells: Annotated[int, typer.Option(min=1, help="How many voxels of each octree.")] = 10_000,
     seed: Annotated[int, typer.Option(help="Which samples and voxels.")] = 0,

@@ -28,7 +28,7 @@ from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
 from ocnf_data.terminal import narrow_table
 
-ALL = "all"
+_ALL = "all"
 Columns = dict[str, dict[str, list[float]]]
 
 
@@ -57,7 +57,7 @@ def collect(url: str, split: str | None, band_samples: int, mad: bool = False) -
 
     def add(column: str, category: str, value: float) -> None:
         columns[column][category].append(value)
-        columns[column][ALL].append(value)
+        columns[column][_ALL].append(value)
 
     console = Console(stderr=True)
     for sample in track(list(stored_samples(url, info)), "reading", console=console, transient=True):
@@ -109,7 +109,7 @@ def _table(columns: Columns, grouped: dict[str, list[str]], labels: list[str], t
     for label in labels:
         resolutions = "/".join(name.removeprefix(label).strip() for name in grouped[label])
         table.add_column(f"{label}\n{resolutions}", justify="right", no_wrap=True)
-    categories = [*sorted(set(columns["coverage"]) - {ALL}), ALL]
+    categories = [*sorted(set(columns["coverage"]) - {_ALL}), _ALL]
     for category in categories:
         cells = ("/".join(_mean(columns[name][category]) for name in grouped[label]) for label in labels)
         n_samples = str(len(columns["coverage"][category]))
@@ -128,7 +128,7 @@ def draw(columns: Columns, path: Path) -> None:
     except ImportError as error:
         raise missing_extra("the plot needs matplotlib", "generate") from error
 
-    categories = sorted(set(columns["coverage"]) - {ALL})
+    categories = sorted(set(columns["coverage"]) - {_ALL})
     across = min(3, len(columns))
     down = -(-len(columns) // across)
     size = (5.2 * across, 0.9 + down * (1 + 0.28 * len(categories)))
