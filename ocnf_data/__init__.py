@@ -12,6 +12,7 @@ from ocnf_data.version import __version__
 
 _HOME = {
     "GridOctree": "octree",
+    "MixtureDataset": "loading.mixture",
     "OcnfError": "errors",
     "Report": "generation",
     "Scan": "views.scans",
@@ -31,6 +32,7 @@ _HOME = {
 
 __all__ = [
     "GridOctree",
+    "MixtureDataset",
     "OcnfError",
     "Report",
     "Scan",
@@ -54,6 +56,7 @@ if TYPE_CHECKING:
     from ocnf_data.fusion import fuse_histogram, fuse_occupancy, fuse_tdf_occupancy, fuse_tsdf
     from ocnf_data.generation import Report, generate
     from ocnf_data.loading.dataset import ShardDataset
+    from ocnf_data.loading.mixture import MixtureDataset
     from ocnf_data.manifest import load_manifest
     from ocnf_data.octree import GridOctree
     from ocnf_data.octree.surface import octree_surface

@@ -1,4 +1,4 @@
-"""`ocnf-data`: begin, generate, verify, inspect and repair data sets.
+"""`ocnf-data`: begin, generate, verify, inspect, repair and export data sets.
 
 A command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -6,7 +6,6 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
-import signal
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,15 +14,17 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from ocnf_data.encodings import Encoding
+from ocnf_data.export.settings import Coordinates, ExportFormat
 from ocnf_data.inspection.commands import check_command, show_command, stats_command
-from ocnf_data.terminal import print_error, run_app, show_version
+from ocnf_data.terminal import print_error, run_app, show_version, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
-                  help="Grid-octree training data from meshes: generate, verify, inspect and repair.")
+                  help="Grid-octree training data from meshes: generate, verify, inspect, repair and export.")
 _out = Console(emoji=False)  # `shapes:airplane:train:1` is a name
 _err = Console(stderr=True, emoji=False)
 _debug = False
@@ -89,6 +90,7 @@ def init_command(
 
 
 @app.command("generate")
+@stoppable(_err, "what is finished is kept, and the same command goes on")
 def generate_command(
     manifest: Annotated[Path, typer.Argument(
         metavar="MANIFEST", help="The manifest: a YAML file that defines the data set.")],
@@ -111,14 +113,9 @@ def generate_command(
     the same to the byte. Inputs that cannot be used are listed in DIR/failures.jsonl; the exit status is 1
     when more of them failed than the manifest's limits.failure_threshold.
     """
-    from ocnf_data.generation import Interrupted, generate
+    from ocnf_data.generation import generate
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems' way to say Ctrl-C
-    try:
-        report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
-    except Interrupted as stop:
-        _err.print(f"[yellow]{stop}[/]", highlight=False)
-        raise typer.Exit(130) from None
+    report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     _out.print(report.table())
     if report.failures or report.exclusions:
         _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False)
@@ -129,6 +126,7 @@ def generate_command(
 
 
 @app.command("verify")
+@stoppable(_err, "nothing was changed, and the same command begins anew")
 def verify_command(folder: Folder, jobs: Jobs) -> None:
     """Check every byte, count and octree of a data set.
 
@@ -143,6 +141,7 @@ def verify_command(folder: Folder, jobs: Jobs) -> None:
 
 
 @app.command("info")
+@stoppable(_err, "nothing was changed")
 def dataset_info_command(
     folder: Folder,
     samples: Annotated[bool, typer.Option("--samples", help="List the samples' keys, one a line.")] = False,
@@ -157,12 +156,13 @@ def dataset_info_command(
         print_summary(describe(folder), _out)
 
 
-app.command("show")(show_command)
-app.command("stats")(stats_command)
-app.command("check")(check_command)
+app.command("show")(stoppable(_err, "what is drawn stays")(show_command))
+app.command("stats")(stoppable(_err, "nothing was changed")(stats_command))
+app.command("check")(stoppable(_err, "nothing was changed")(check_command))
 
 
 @app.command("repair")
+@stoppable(_err, "what was set aside is in {folder}/quarantine, and the same command goes on")
 def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
@@ -174,12 +174,13 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.generation.resume import adopt
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import find_damaged, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.repair import damaged_shards, quarantine, restore_catalogues, restore_index
+    from ocnf_data.verify.verify import verify
 
     manifest = Manifest.from_dict(load_dataset(folder).manifest)
     with _Bar("verifying") as progress:
-        damaged = find_damaged(folder, jobs, progress)
-    if not damaged:
+        report = verify(folder, jobs, progress)
+    if not (damaged := damaged_shards(report)):
         _out.print("[green]no shard is damaged[/]")
     lost = []
     for shard in damaged:
@@ -188,20 +189,70 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
             _out.print("  the tar is whole, its index was written again", highlight=False)
         else:
             lost.append(shard)
-    if not lost:
+    if lost:
+        # Whatever stands in the way of making them again is said before anything is set aside.
+        root = manifest.meshes_root(meshes)
+        adopt(Store(folder), make_plan(manifest, root), lambda: make_plan(manifest.by_chance_alone(), root))
+        for shard in lost:
+            for name in quarantine(folder, shard.path):
+                _out.print(f"set aside as {name}", highlight=False)
+        _out.print(generate(manifest, folder, meshes, jobs).table())
+    else:
         for name in restore_catalogues(folder):
             _out.print(f"{name} was written anew from the indices", highlight=False)
-        return
-    # Whatever stands in the way of making them again is said before anything is set aside.
-    root = manifest.meshes_root(meshes)
-    adopt(Store(folder), make_plan(manifest, root), lambda: make_plan(manifest.by_chance_alone(), root))
-    for shard in lost:
-        for name in quarantine(folder, shard.path):
-            _out.print(f"set aside as {name}", highlight=False)
-    _out.print(generate(manifest, folder, meshes, jobs).table())
+    if not report.ok:
+        with _Bar("verifying") as progress:
+            left = verify(folder, jobs, progress).problems
+        for problem in left:
+            print_error(f"cannot be repaired: {problem}", _err)
+        raise typer.Exit(1 if left else 0)
+
+
+@app.command("export")
+def export_command(
+    folder: Folder,
+    format_: Annotated[ExportFormat, typer.Option(
+        "--format", help="dense: volumes as .npz. points: surface points, occupancies and signed distances "
+                         "for Occupancy Networks and DeepSDF. mesh: PLY. vdb: OpenVDB.")],
+    out: Annotated[str, typer.Option(metavar="OUT", help="Where the files go: a folder, or an fsspec URL.")],
+    jobs: Jobs,
+    split: Annotated[list[str] | None, typer.Option(
+        metavar="NAME", help="A split to export; may be given several times.", show_default="all")] = None,
+    resolution: Annotated[int | None, typer.Option(
+        metavar="N", help="Voxels along a side, one of the data set's.", show_default="the largest")] = None,
+    variant: Annotated[str | None, typer.Option(
+        metavar="NAME", help="dense, mesh, vdb: the input variant to export.", show_default="all")] = None,
+    encoding: Annotated[Encoding | None, typer.Option(
+        help="dense: the input encoding to export.", show_default="all")] = None,
+    limit: Annotated[int | None, typer.Option(
+        min=1, metavar="N", help="At most N samples of each split.", show_default="all")] = None,
+    points: Annotated[int, typer.Option(
+        min=1, metavar="N", help="points: how many of each kind, for each sample.")] = 100_000,
+    coordinates: Annotated[Coordinates | None, typer.Option(
+        help="points, mesh, vdb: the frame of coordinates.",
+        show_default="what the readers of each file expect")] = None,
+    stored: Annotated[bool, typer.Option(
+        "--stored", help="dense: uint8 and float16 as they are stored, instead of float32.")] = False,
+) -> None:
+    """Write the samples of a data set in a format that other programs read.
+
+    Samples that are there already are kept, so that a run that was stopped goes on; a folder with an export
+    of other settings is refused. The exit status is 1 when a sample could not be exported.
+    """
+    from ocnf_data.export import export_dataset
+
+    with _Bar("exporting") as progress:
+        report = export_dataset(folder, out, format_, splits=split or None, limit=limit,
+                                resolution=resolution, variant=variant, encoding=encoding, points=points,
+                                coordinates=coordinates, stored=stored, jobs=jobs, progress=progress)
+    for key, error in report.failures:
+        print_error(f"{key}: {error}".replace(f"{key}: {key}: ", f"{key}: "), _err)
+    _out.print(str(report), highlight=False, markup=False, soft_wrap=True)
+    raise typer.Exit(1 if report.failures else 0)
 
 
 @app.command("doctor")
+@stoppable(_err, "nothing was changed")
 def doctor_command() -> None:
     """Check what works on this machine, try each renderer on a known shape, and say how to fix the rest."""
     from ocnf_data.doctor import run_doctor
@@ -210,6 +261,7 @@ def doctor_command() -> None:
 
 
 @app.command("watertight")
+@stoppable(_err, "every mesh that is written is whole, and the same command makes all of them anew")
 def watertight_command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh file, or a folder of them.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A file, or a folder.")],

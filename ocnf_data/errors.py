@@ -38,12 +38,12 @@ Round it to the next one.
         expected: object = None,
         fix: str | None = None,
     ) -> None:
-        self.what = what
+        self.what = printable(what)
         self.code = code
-        self.where = None if where is None else str(where)
-        self.field = field
-        self.found = None if found is None else _shorten(str(found))
-        self.expected = None if expected is None else str(expected)
+        self.where = None if where is None else printable(str(where))
+        self.field = None if field is None else printable(field)
+        self.found = None if found is None else _shorten(printable(str(found)))
+        self.expected = None if expected is None else printable(str(expected))
         self.fix = fix
         super().__init__(self._message())
 
@@ -85,6 +85,20 @@ def missing_extra(what: str, extra: str, where: object = None) -> OcnfError:
 def _rebuild(cls: type[OcnfError], what: str, code: str, where: str | None, field: str | None,
              found: str | None, expected: str | None, fix: str | None) -> OcnfError:
     return cls(what, code=code, where=where, field=field, found=found, expected=expected, fix=fix)
+
+
+def printable(text: str) -> str:
+    r"""The text with what cannot be written as UTF-8 spelled out: a file called b"\xe9.off" is `\xe9.off`.
+
+    Python reads the bytes of a file's name that are not UTF-8 as lone surrogates, which no terminal and no
+    JSON parser of another language takes.
+    """
+    if text.isascii():
+        return text
+    try:
+        return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # a surrogate that stands for no byte, from an escape in YAML or JSON
+        return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _shorten(text: str, limit: int = 200) -> str:

@@ -1,9 +1,15 @@
-"""What the command lines share: errors as one red sentence and exit status 1, the version, narrow tables."""
+"""What the command lines share: an error or an interrupt is one sentence; the version; narrow tables.
+
+An error ends a command with exit status 1, Ctrl-C with 130, SIGTERM with 143.
+"""
 
 from __future__ import annotations
 
+import functools
+import os
 import sys
 from collections.abc import Callable
+from typing import ParamSpec
 
 import typer
 from rich import box
@@ -12,7 +18,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files import interrupts
 from ocnf_data.version import __version__
+
+P = ParamSpec("P")
 
 
 def print_error(sentence: str, console: Console) -> None:
@@ -20,8 +29,31 @@ def print_error(sentence: str, console: Console) -> None:
     console.print(f"[red]error:[/] {escape(sentence)}", highlight=False, soft_wrap=True)
 
 
+def stoppable(console: Console, sentence: str) -> Callable[[Callable[P, None]], Callable[P, None]]:
+    """Decorate a command: where it is stopped, it says in one line what is kept and how to go on.
+
+    Args:
+        console: where to say it.
+        sentence: what to say after `stopped`, with the command's arguments in braces; an interrupt that has
+            words of its own is given with those.
+    """
+    def decorate(command: Callable[P, None]) -> Callable[P, None]:
+        @functools.wraps(command)
+        def stopping(*args: P.args, **kwargs: P.kwargs) -> None:
+            try:
+                command(*args, **kwargs)
+            except KeyboardInterrupt as stop:
+                _say_stopped(str(stop) or f"stopped; {sentence.format(**kwargs)}", console)
+                raise typer.Exit(interrupts.exit_status()) from None
+
+        return stopping
+
+    return decorate
+
+
 def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> None:
     """Run a command line; where `debug()` holds afterwards, an error is raised with its traceback."""
+    interrupts.listen()
     try:
         app()
     except OcnfError as error:
@@ -29,6 +61,8 @@ def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> No
             raise
         print_error(str(error), console)
         sys.exit(1)
+    except KeyboardInterrupt:  # before the command began, or after it ended
+        sys.exit(interrupts.exit_status())
 
 
 def show_version(wanted: bool) -> None:
@@ -41,3 +75,8 @@ def show_version(wanted: bool) -> None:
 def narrow_table(title: str) -> Table:
     """A table without borders, of which ten columns of figures fit into 80 characters."""
     return Table(title=title, title_justify="left", box=box.SIMPLE, padding=0, pad_edge=False)
+
+
+def _say_stopped(sentence: str, console: Console) -> None:
+    if os.environ.get("RANK", "0") == "0":  # of processes that train together one speaks
+        console.print(f"[yellow]{escape(sentence)}[/]", highlight=False, soft_wrap=True)

@@ -22,14 +22,18 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
 from ocnf_data.files.storage import Store, storage_errors
-from ocnf_data.files.validation import Int, Positive, Real, Strict, validate
-from ocnf_model.network import Carry, Join, OctNetFusion, Output
-from ocnf_model.tensorfile import read_header, read_tensors, write_tensors
+from ocnf_data.files.validation import Int, Real, Strict, validate
+from ocnf_model.network import Carry, Join, Normaliser, OctNetFusion, Output
+from ocnf_model.tensorfile import TensorKind, read_header, read_kinds, read_tensors, write_tensors
 
 CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"
 _PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
 
+MAX_CHANNELS: Final = 4096
+MAX_COUNT: Final = 2**53
+Channels = Annotated[Int, Field(ge=1, le=MAX_CHANNELS)]
+Counted = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 
 
 class Architecture(Strict):
@@ -39,15 +43,22 @@ class Architecture(Strict):
     join: Join
     carry: Carry
     output: Output
-    channels: tuple[Positive, Positive, Positive]
-    band: Real
-    context: Annotated[Int, Field(ge=0)] = 0
+    channels: tuple[Channels, Channels, Channels]
+    band: Annotated[Real, Field(gt=0, le=1024)]
+    context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     residual: bool = False
+    normalise: Normaliser = Normaliser.NONE
 
     @classmethod
     def of(cls, source: object) -> Architecture:
         """That of a network, or of settings: anything that has these fields as attributes."""
         return cls(**{name: getattr(source, name) for name in cls.model_fields})
+
+    def kinds(self, level: int) -> dict[str, TensorKind]:
+        """The tensors of a level (from 0) by name; nothing is allocated for it."""
+        with torch.device("meta"):
+            own = self.network(min(level, 1) + 1).levels[-1].state_dict()  # all from the second on are alike
+        return {name: TensorKind.of(tensor) for name, tensor in own.items()}
 
     def network(self, levels: int, checkpointing: bool = False) -> OctNetFusion:
         """A new network, with random weights."""
@@ -94,12 +105,12 @@ class Header(Strict):
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = CHECKPOINT_SCHEMA
-    level: Positive
-    resolution: Positive
+    level: Annotated[Int, Field(ge=1, le=16)]
+    resolution: Annotated[Int, Field(ge=1, le=2**16)]
     architecture: Architecture
     data: TrainingData
-    epoch: Positive
-    steps: Positive
+    epoch: Counted
+    steps: Counted
     metrics: dict[str, Real]
     settings: dict[str, Any]
     built_on: Sha256 | None
@@ -160,7 +171,8 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
         OcnfError: it is missing or damaged, of another schema, or does not fit the network.
     """
     path = checkpoint_path(folder, level + 1)
-    weights, fields = read_tensors(path)
+    # What comes with the package is checked by what installs it.
+    weights, fields = read_tensors(path, note=folder != _PRETRAINED_FOLDER)
     header = parse_header(path, fields)
     if header.level != level + 1:
         raise _misfit(path, "level", header.level, level + 1)
@@ -169,14 +181,9 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
         found, expected = getattr(header.architecture, field), getattr(own_architecture, field)
         if found != expected:
             raise _misfit(path, field, found, expected)
-    own = network.levels[level].state_dict()
-    if missing := sorted(own.keys() ^ weights.keys()):
-        raise _misfit(path, missing[0], "there" if missing[0] in weights else "nothing",
-                      f"the tensors {', '.join(own)}")
+    own = {name: TensorKind.of(tensor) for name, tensor in network.levels[level].state_dict().items()}
+    _check_kinds(path, {name: TensorKind.of(tensor) for name, tensor in weights.items()}, own)
     for name, tensor in weights.items():
-        if tensor.shape != own[name].shape or tensor.dtype != own[name].dtype:
-            raise _misfit(path, name, f"{tensor.dtype} {tuple(tensor.shape)}",
-                          f"{own[name].dtype} {tuple(own[name].shape)}")
         if not tensor.isfinite().all():
             raise OcnfError("weights that are not finite", code="damaged", where=path, field=name)
     network.levels[level].load_state_dict(weights)
@@ -202,6 +209,9 @@ def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
     levels = levels or there
     headers = [parse_header(file, read_header(file))
                for file in (checkpoint_path(folder, level) for level in range(1, levels + 1))]
+    for level, header in enumerate(headers):  # before anything is allocated
+        path = checkpoint_path(folder, level + 1)
+        _check_kinds(path, read_kinds(path), header.architecture.kinds(level))
     network = headers[0].architecture.network(levels)
     for level, header in enumerate(headers):
         load_level(folder, network, level)
@@ -275,6 +285,17 @@ def parse_header(path: Path, fields: Mapping[str, Any]) -> Header:
 def torch_version() -> str:
     """The version of PyTorch, as headers hold it."""
     return str(torch.__version__)
+
+
+def _check_kinds(path: Path, found: Mapping[str, TensorKind], expected: Mapping[str, TensorKind]) -> None:
+    """Refuse tensors of other names, dtypes or shapes than the network's."""
+    if missing := sorted(expected.keys() ^ found.keys()):
+        raise _misfit(path, missing[0], "there" if missing[0] in found else "nothing",
+                      f"the tensors {', '.join(expected)}")
+    for name, kind in found.items():
+        if kind != expected[name]:
+            raise _misfit(path, name, f"{kind.dtype} {kind.shape}",
+                          f"{expected[name].dtype} {expected[name].shape}")
 
 
 def _misfit(path: Path, field: str, found: object, expected: object) -> OcnfError:

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ocnf_data.terminal import run_app, show_version
+from ocnf_data.terminal import run_app, show_version, stoppable
 from ocnf_model.evaluation.methods import Method
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -42,6 +42,7 @@ def _options(debug: Annotated[bool, typer.Option(
 
 
 @app.command("train")
+@stoppable(_err, "the same command goes on in {out}")
 def train_command(
     data: Training,
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: new, or to be gone on with.")],
@@ -60,7 +61,8 @@ def train_command(
         help="The input variant, by its name in the manifest.")] = None,
     epochs: Annotated[str | None, typer.Option(
         metavar="N,...",
-        help="Epochs of each level; the last number holds for all later levels. [50,25,25]")] = None,
+        help="Epochs of each level; the last number holds for all later levels. A run can be continued with "
+             "more. [50,25,25]")] = None,
     batch_size: Annotated[str | None, typer.Option(
         metavar="N,...", help="Samples per batch and process, level by level. [4,1,1]")] = None,
     accumulate: Annotated[str | None, typer.Option(
@@ -85,6 +87,9 @@ def train_command(
     checkpointing: Annotated[bool | None, typer.Option(
         "--checkpointing/--no-checkpointing", help="Compute activations again instead of keeping them.",
         show_default=False)] = None,
+    best_by: Annotated[str | None, typer.Option(
+        help="Measure that chooses the best checkpoint: mad, iou, f_score or mad_and_f_score. "
+             "[mad_and_f_score]")] = None,
     seed: Annotated[int | None, typer.Option(
         min=0, help="Seed of the first weights and the order of the samples. [0]")] = None,
     workers: Annotated[int | None, typer.Option(
@@ -104,21 +109,17 @@ def train_command(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
-         "seed": seed, "workers": workers},
+         "best_by": best_by, "seed": seed, "workers": workers},
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)
-    try:
-        train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
-    except KeyboardInterrupt:
-        _err.print(f"[yellow]stopped; the same command resumes the run in {escape(str(out))}[/]",
-                   highlight=False)
-        raise typer.Exit(130) from None
+    train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
     if os.environ.get("RANK", "0") == "0":
         _out.print(f"trained: {escape(str(out))}", highlight=False)
 
 
 @app.command("info")
+@stoppable(_err, "nothing was changed")
 def run_info_command(run: Run) -> None:
     """Show a network's layers, shapes and parameters, and how it was trained."""
     from ocnf_model.info import print_run
@@ -127,6 +128,7 @@ def run_info_command(run: Run) -> None:
 
 
 @app.command("evaluate")
+@stoppable(_err, "tables are written at the end only, and the same command begins anew")
 def evaluate_command(
     run: Run,
     data: Data,
@@ -160,6 +162,7 @@ def evaluate_command(
 
 
 @app.command("choose-weight")
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
 def choose_weight_command(
     data: Data,
     out: Annotated[Path, typer.Option(
@@ -185,6 +188,7 @@ def choose_weight_command(
 
 
 @app.command("fuse")
+@stoppable(_err, "{out} is written at the end only, and the same command begins anew")
 def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(
@@ -233,6 +237,9 @@ def fuse_command(
 
 def main() -> None:
     """Run the command line."""
+    # Read when PyTorch loads OpenMP, which is later. By default its threads wait for each other by spinning,
+    # so beside another process they use up the time that the one they wait for would need.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     run_app(app, _err, lambda: _debug)
 
 

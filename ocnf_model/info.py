@@ -64,7 +64,8 @@ def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
 
 def training_table(trained: TrainedRun) -> Table:
     """A row a level: its best epoch and what was measured then."""
-    table = Table(title="best checkpoints, by validation MAD")
+    measure = trained.headers[-1].settings.get("best_by", "mad")
+    table = Table(title=f"best checkpoints, by {measure} of the validation samples")
     columns = ["level", "resolution", "epoch", "steps", *trained.headers[0].metrics]
     for title in columns:
         table.add_column(title, justify="right", overflow="fold")

@@ -25,18 +25,22 @@ ARROWS = {
     "ocnf_data.__main__": "ocnf_data.cli",
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
-        "ocnf_data.doctor ocnf_data.files ocnf_data.generation ocnf_data.inspection "
-        "ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal ocnf_data.verify",
+        "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.files ocnf_data.generation "
+        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal "
+        "ocnf_data.verify",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
+    "ocnf_data.export":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.meshes "
+        "ocnf_data.octree ocnf_data.shards",
     "ocnf_data.files": "ocnf_data.errors",
     "ocnf_data.fusion":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
     "ocnf_data.generation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
-        "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.shapes "
-        "ocnf_data.shards ocnf_data.version ocnf_data.views",
+        "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.scenes "
+        "ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
     "ocnf_data.inspection":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
         "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
@@ -46,13 +50,14 @@ ARROWS = {
         "ocnf_data.shards",
     "ocnf_data.manifest":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.meshes "
-        "ocnf_data.shapes ocnf_data.views",
+        "ocnf_data.scenes ocnf_data.shapes ocnf_data.views",
     "ocnf_data.meshes":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.octree "
         "ocnf_data.render ocnf_data.views",
     "ocnf_data.octree": "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors",
     "ocnf_data.render":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
+    "ocnf_data.scenes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes ocnf_data.shapes",
     "ocnf_data.shapes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes",
     "ocnf_data.shards":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree",
@@ -60,7 +65,7 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.meshes ocnf_data.octree "
         "ocnf_data.shapes ocnf_data.shards ocnf_data.views",
-    "ocnf_data.terminal": "ocnf_data.errors ocnf_data.version",
+    "ocnf_data.terminal": "ocnf_data.errors ocnf_data.files ocnf_data.version",
     "ocnf_data.verify": "ocnf_data.errors ocnf_data.files ocnf_data.octree ocnf_data.shards",
     "ocnf_data.version": "",
     "ocnf_data.views": "ocnf_data.arrays ocnf_data.errors ocnf_data.files",
@@ -94,9 +99,10 @@ ARROWS = {
         "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
-        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation ocnf_data.loading "
-        "ocnf_data.manifest ocnf_data.shards ocnf_data.synthesis ocnf_model.checkpoint "
-        "ocnf_model.devices ocnf_model.losses ocnf_model.metrics ocnf_model.network ocnf_model.octree "
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
+        "ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards "
+        "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses "
+        "ocnf_model.measures ocnf_model.metrics ocnf_model.network ocnf_model.octree "
         "ocnf_model.tensorfile",
 }
 
@@ -128,14 +134,17 @@ BORROWED = """
     ocnf_data.generation.remake
     ocnf_data.loading.arguments
     ocnf_data.loading.augment
+    ocnf_data.loading.catalogue
     ocnf_data.loading.dataset
     ocnf_data.loading.epochs
+    ocnf_data.loading.mixture
     ocnf_data.manifest
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits
     ocnf_data.octree.surface
     ocnf_data.octree.triangles
+    ocnf_data.render.pictures
     ocnf_data.render.shade
     ocnf_data.shards
     ocnf_data.shards.dataset

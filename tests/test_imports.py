@@ -40,3 +40,14 @@ def test_every_public_name_resolves() -> None:
     assert all(getattr(ocnf_data, name) is not None for name in ocnf_data.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         ocnf_data.nonsense  # noqa: B018
+
+
+@pytest.mark.parametrize("module", ["ocnf_data.generation.run", "ocnf_model.training.run"])
+def test_locks_need_nothing_that_only_unix_has(module: str) -> None:
+    assert loaded(f"sys.modules['fcntl'] = None; import {module}", ("fcntl", module)) == ["fcntl", module]
+
+
+@pytest.mark.parametrize("statement", ["import ocnf_model", "import ocnf_model.network, ocnf_model.ops",
+                                       "import ocnf_model.cli"])
+def test_the_network_needs_no_mesh_library_and_no_opengl(statement: str) -> None:
+    assert loaded(statement, ("trimesh", "pyrender", "OpenGL", "skimage")) == []

@@ -3,7 +3,8 @@
     pip install atheris && python tools/fuzz.py [--seconds 60] [--only TARGET] [--findings DIR]
 
 Each target runs in a process of its own for so many seconds, with coverage feedback, starting from small
-valid files. Some wrap what the fuzzer makes in a valid frame or tar, so that it gets behind the checksums.
+valid files. Some wrap what the fuzzer makes in a valid frame, tar, GLB or checkpoint, so that it gets behind
+the checksums; one makes folders of links and odd names out of it, and plans a data set from them.
 Prints how many inputs were tried, and how many of them were read as valid (mutations that change nothing
 that is checked there: the SHA-256 in `dataset.json` is what catches those). An input that breaks something
 is left in the folder of findings, and the exit status is 1.
@@ -12,15 +13,20 @@ is left in the folder of findings, and the exit status is 1.
 from __future__ import annotations
 
 import argparse
+import atexit
 import io
 import json
+import logging
 import os
+import shutil
+import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -29,6 +35,10 @@ from rich.table import Table
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json
+from ocnf_data.generation.plan import make_plan
+from ocnf_data.generation.sample import read_item
+from ocnf_data.manifest import Manifest
 from ocnf_data.meshes.formats import FORMATS
 from ocnf_data.octree import TARGET, GridOctree
 from ocnf_data.octree.codec import decode_raw, encode
@@ -89,6 +99,168 @@ def void(_: object) -> None:
     """Drop a result."""
 
 
+# ---- GLB files: what is used how often
+
+TETRAHEDRON = b"".join(np.array(part, kind).tobytes() for part, kind in (
+    ([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4]], "<f4"), ([0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2], "<u2")))
+
+
+def glb(text: bytes) -> bytes:
+    """A GLB file with a tetrahedron's bytes and this JSON."""
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(TETRAHEDRON), 0x004E4942) + TETRAHEDRON
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def gltf_headers() -> list[bytes]:
+    """A tetrahedron, the same with shared accessors and meshes, and on a chain of nodes."""
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1}
+    plain: dict[str, Any] = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"children": [1], "translation": [1, 2, 3]}, {"mesh": 0, "scale": [2, 2, 2]}],
+        "meshes": [{"primitives": [primitive]}], "buffers": [{"byteLength": len(TETRAHEDRON)}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+                      {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"}]}
+    shared = {**plain, "meshes": [{"primitives": [primitive] * 8}], "scenes": [{"nodes": [0, 1, 2]}],
+              "nodes": [{"mesh": 0}] * 3}
+    chain = {**plain, "nodes": [{"children": [i + 1], "mesh": 0, "rotation": [0, 0, 0, 1]} for i in range(5)]
+             + [{"mesh": 0, "matrix": np.eye(4).ravel().tolist()}]}
+    return [json.dumps(header).encode() for header in (plain, shared, chain)]
+
+
+# ---- a folder of meshes: links, odd names, hidden files
+
+NAMES = ["a.off", "b.off", ".c.off", "..off", os.fsdecode(b"d\xe9.off"), "e.stl", "f", "g.off"]
+LINKS = ["a.off", "b.off", "g.off", "../f", ".", "..", "/dev/zero", "/etc/passwd", "nowhere", "f"]
+
+
+def plan_folder(data: bytes) -> None:
+    """Two bytes an entry: what it is, and where it leads. Every input has to be accounted for."""
+    manifest = Manifest.from_dict({
+        "name": "fuzz", "source": {"kind": "folder", "shares": {"train": 1.0}}, "resolutions": [64],
+        "inputs": [{"name": "v", "views": 1, "encodings": ["tsdf"]}], "limits": {"max_bytes": 4096}})
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        root = Path(folder)
+        for what, which in zip(data[0:32:2], data[1:32:2], strict=False):
+            path = root / NAMES[what % 8]
+            if path.is_symlink() or path.exists():
+                continue
+            match what // 8 % 4:
+                case 0:
+                    path.symlink_to(LINKS[which % len(LINKS)])
+                case 1:
+                    path.mkdir()
+                case 2:
+                    os.mkfifo(path)
+                case _:
+                    path.write_bytes(data[which:])
+        plan = make_plan(manifest, root)
+        inputs = [path for path in root.iterdir() if path.suffix in FORMATS and not path.is_dir()]
+        if len(plan.items) + len(plan.exclusions) != len(inputs):
+            raise AssertionError(f"{len(inputs)} inputs, {plan}")
+        json.dumps([row.to_json() for row in plan.exclusions], ensure_ascii=False).encode()
+        for item in plan.items:
+            try:
+                read_item(manifest, item, folder)
+            except OcnfError as error:
+                str(error).encode()
+                if b"root:" in str(error).encode():
+                    raise AssertionError("quotes another file") from error
+
+
+# ---- checkpoints and the state of training
+
+
+class Checkpoints:
+    """A tiny network's checkpoint and state, whose header or whose bytes the fuzzer makes."""
+
+    def __init__(self) -> None:
+        import torch
+
+        from ocnf_model.checkpoint import Architecture, Header, TrainingData
+        from ocnf_model.network import Carry, Join, Output
+        from ocnf_model.training.train_state import TrainState, save_state
+
+        logging.disable()  # the note on files without a checksum
+        self._folder = Path(tempfile.mkdtemp(dir="/dev/shm"))
+        atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
+        kind = Architecture(encoding=Encoding.TSDF, join=Join.CONCAT, carry=Carry.FEATURES,
+                            output=Output.TSDF, channels=(1, 1, 1), band=1.0)
+        self._level = kind.network(1).levels[0]
+        self._optimiser = torch.optim.Adam(self._level.parameters())
+        torch.cat([p.reshape(-1) for p in self._level.parameters()]).sum().backward()
+        self._optimiser.step()
+        data = TrainingData(name="d", checksum="0" * 64, variant="v", n_train=3, n_val=2, extent=3.0,
+                         truncation_voxels=2.0)
+        header = Header(level=1, resolution=32, architecture=kind, data=data, epoch=1, steps=1, metrics={},
+                        settings={}, built_on=None, torch="2")
+        self.header = canonical_json(header.to_dict())
+        state = TrainState(step=1, steps=1, loader={"epoch": 0, "step": 1}, loss_sum=1.0, loss_count=1.0)
+        save_state(self._folder, state, self._level, self._optimiser)
+        self.state_file = (self._folder / "state.safetensors").read_bytes()
+        self.state = self._header_of(self.state_file)
+        self.write_header("level-1.safetensors", self.header, self._level.state_dict())
+        self.file = (self._folder / "level-1.safetensors").read_bytes()
+
+    def _header_of(self, blob: bytes) -> bytes:
+        size = int.from_bytes(blob[:8], "little")
+        header = json.loads(json.loads(blob[8:8 + size])["__metadata__"]["ocnf"])
+        del header["sha256"]
+        return canonical_json(header)
+
+    def write_header(self, name: str, text: bytes, tensors: Any) -> None:
+        """The file with this text for its header, and where it is JSON with a checksum that fits."""
+        import safetensors.torch
+
+        from ocnf_model.tensorfile import write_tensors
+
+        try:
+            header = json.loads(text)
+            write_tensors(self._folder / name, tensors, {**header})
+        except (ValueError, TypeError, RecursionError):
+            blob = safetensors.torch.save(dict(tensors), {"ocnf": text.decode(errors="replace")})
+            (self._folder / name).write_bytes(blob)
+
+    def read_state(self) -> None:
+        """As a run that is resumed does."""
+        from ocnf_model.training.train_state import check_progress, check_step, load_state, restore
+
+        state, tensors = load_state(self._folder)
+        check_progress(self._folder, state, [2], [32])
+        check_step(self._folder, state, 2, 1, exact=True)
+        restore(tensors, self._level, self._optimiser)
+
+    def state_bytes(self, data: bytes) -> None:
+        """A state file of these bytes."""
+        (self._folder / "state.safetensors").write_bytes(data)
+        self.read_state()
+
+    def state_header(self, data: bytes) -> None:
+        """A state with this header."""
+        from ocnf_model.tensorfile import read_tensors
+
+        path = self._folder / "state.safetensors"
+        path.write_bytes(self.state_file)
+        self.write_header(path.name, data, read_tensors(path)[0])
+        self.read_state()
+
+    def checkpoint_bytes(self, data: bytes) -> None:
+        """A checkpoint of these bytes."""
+        from ocnf_model.checkpoint import open_run
+
+        (self._folder / "level-1.safetensors").write_bytes(data)
+        open_run(self._folder)
+
+    def checkpoint_header(self, data: bytes) -> None:
+        """A checkpoint with this header."""
+        from ocnf_model.checkpoint import open_run
+
+        self.write_header("level-1.safetensors", data, self._level.state_dict())
+        open_run(self._folder)
+
+
 def targets() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
     """What reads, and valid files to start from."""
     blobs = octrees()
@@ -107,6 +279,7 @@ def targets() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
                 ".ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
                         b"property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
                         b"end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"}
+    checkpoints = Checkpoints()
     return {
         "octree blob": (lambda data: void(decode_raw(data)), list(blobs.values())),
         "octree content": (read_wrapped, [unwrap(blob) for blob in blobs.values()]),
@@ -118,6 +291,13 @@ def targets() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
         "index": (lambda data: void(ShardIndex.from_json(data, "fuzz")), [index]),
         "dataset.json": (lambda data: void(DatasetInfo.from_json(data, "fuzz")), [dataset]),
         **{f"mesh {suffix}": (mesh(suffix), [seed]) for suffix, seed in triangle.items()},
+        "mesh .glb": (mesh(".glb"), [glb(text) for text in gltf_headers()]),
+        "GLB header": (lambda text: mesh(".glb")(glb(text)), gltf_headers()),
+        "folder of meshes": (plan_folder, [bytes(range(0, 64, 2)), bytes(range(0, 255, 8))]),
+        "state file": (checkpoints.state_bytes, [checkpoints.state_file]),
+        "state header": (checkpoints.state_header, [checkpoints.state]),
+        "checkpoint file": (checkpoints.checkpoint_bytes, [checkpoints.file]),
+        "checkpoint header": (checkpoints.checkpoint_header, [checkpoints.header]),
     }
 
 
@@ -127,10 +307,11 @@ def fuzz(name: str, seconds: float, findings: Path) -> None:
 
     read, seeds = targets()[name]
     tried = accepted = 0
-    end = time.monotonic() + seconds
+    end = float("inf")  # until the first input: libraries take their time to load
 
     def once(data: bytes) -> None:
-        nonlocal tried, accepted
+        nonlocal tried, accepted, end
+        end = min(end, time.monotonic() + seconds)
         if time.monotonic() > end:
             print(json.dumps({"tried": tried, "accepted": accepted}), flush=True)
             os._exit(0)
@@ -144,7 +325,7 @@ def fuzz(name: str, seconds: float, findings: Path) -> None:
     corpus = Path(tempfile.mkdtemp())
     for i, seed in enumerate(seeds):
         (corpus / str(i)).write_bytes(seed)
-    for module in [module for key, module in sys.modules.items() if key.startswith("ocnf_data")]:
+    for module in [module for key, module in sys.modules.items() if key.startswith("ocnf_")]:
         for function in [f for f in vars(module).values() if hasattr(f, "__code__")]:
             atheris.instrument_func(function)
     atheris.Setup([sys.argv[0], f"-max_len={MAX_BYTES}", f"-rss_limit_mb={MEMORY_MB}", "-timeout=20",

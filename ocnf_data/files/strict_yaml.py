@@ -17,8 +17,12 @@ from ocnf_data.files.storage import storage_errors
 _MAX_BYTES = 16 * 2**20
 
 
+# YAML 1.1, which PyYAML follows, reads 010 as eight and 1:30 as ninety; YAML 1.2 and people do not.
+_AMBIGUOUS = re.compile(r"[-+]?(0[0-9_]+$|[0-9][0-9_]*:)")
+
+
 class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader that refuses duplicate keys and aliases, and reads 1e-3 as a number."""
+    """SafeLoader that refuses duplicate keys, aliases and 010, and reads 1e-3 as a number."""
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):  # nested, they make gigabytes out of a few lines
@@ -38,7 +42,19 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# YAML 1.1, which PyYAML follows, takes 1e-3 for a string because it has no dot.
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        """The number, unless YAML 1.1 and 1.2 read different ones."""
+        if _AMBIGUOUS.match(node.value):
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{node.value} is one number to YAML 1.1 and another to YAML 1.2: write it "
+                "without a leading zero or a colon, or in quotes if it is text", node.start_mark)
+        is_int = node.tag == "tag:yaml.org,2002:int"
+        return self.construct_yaml_int(node) if is_int else self.construct_yaml_float(node)
+
+
+for _kind in ("int", "float"):
+    _StrictLoader.add_constructor(f"tag:yaml.org,2002:{_kind}", _StrictLoader.construct_number)
+# YAML 1.1 takes 1e-3 for a string because it has no dot.
 _StrictLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789"))
 

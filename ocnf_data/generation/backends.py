@@ -10,7 +10,6 @@ import contextlib
 import functools
 import logging
 import os
-import signal
 import threading
 import time
 import warnings
@@ -18,6 +17,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.files.interrupts import ignore_interrupts, starting_processes
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, make_shard
 from ocnf_data.generation.worker.supervisor import close_supervisor_of_this_thread
 
@@ -70,7 +70,8 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
             # With a single job joblib would work in this process.
             parallel = Parallel(n_jobs=max(2, min(jobs, len(left))), backend="loky", batch_size=1,
                                 pre_dispatch="2*n_jobs", max_nbytes=None, return_as="generator_unordered")
-            results = parallel([delayed(_shard_or_error)(task, os.getpid()) for task in left.values()])
+            with starting_processes():
+                results = parallel([delayed(_shard_or_error)(task, os.getpid()) for task in left.values()])
             try:
                 for result in results:
                     done = _raised(result)
@@ -152,8 +153,7 @@ BACKENDS: dict[str, Callable[[Sequence[ShardTask], int], Finished]] = {
 def _shard_or_error(task: ShardTask, driver: int) -> ShardDone | OcnfError:
     """In a worker: errors go back as values, because each backend dresses an exception up differently."""
     if os.getpid() != driver and threading.current_thread() is threading.main_thread():
-        # Ctrl-C reaches the whole foreground group; the driver decides what becomes of the workers.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ignore_interrupts()  # the driver decides what becomes of the workers
         if os.getppid() == driver:  # loky; clusters look after their workers themselves
             _end_with(driver)
     try:

@@ -47,6 +47,8 @@ def view_fingerprint(manifest: Manifest) -> str:
     """
     parts = manifest.to_dict()
     facts = {name: parts[name] for name in ("camera", "normalise", "renderer")}
+    if manifest.camera.path is not None:  # a path depends on the seed, a rig on nothing
+        facts["seed"] = manifest.seed
     text = json.dumps({"ocnf": __version__, **facts}, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 

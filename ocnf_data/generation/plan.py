@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
+import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,15 +22,17 @@ from json.encoder import encode_basestring_ascii as _encode
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.fingerprint import fingerprint
+from ocnf_data.generation.procedural import procedural_name
 from ocnf_data.generation.records import EXCLUDED, Failure, Item, ShardPlan
 from ocnf_data.manifest import SPLITS, Entry, Manifest
 from ocnf_data.shards.tarformat import MAX_KEY, MAX_NAME, input_member, target_member
 
 PLAN_SCHEMA = 1
 _HASHING_THREADS = 8
+_HASHING_BYTES = 1 << 20  # between two looks at whether the run was interrupted
 _SUFFIX = 9  # "-" and 8 hexadecimal digits
 _SHORTEST_LIMIT = 24
 
@@ -128,10 +132,12 @@ def list_items(manifest: Manifest, meshes: Path | None,
     if meshes is not None and not meshes.is_dir():
         raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
                         field="source.root", fix="give it as --meshes ROOT")
-    entries, exclusions = _distinct(manifest.source.entries(meshes, manifest.seed), meshes)
+    found = manifest.source.entries(meshes, manifest.seed)
+    entries, exclusions = _distinct([entry for entry in found if entry.excluded is None], meshes)
+    exclusions += [_exclusion(entry, entry.excluded) for entry in found if entry.excluded is not None]
     keys = make_keys(entries, _key_limit(manifest))
     wanted = [(key, entry) for key, entry in zip(keys, entries, strict=True) if entry.split in splits]
-    sums = _checksums([entry for _, entry in wanted], meshes)
+    sums = _checksums([entry for _, entry in wanted], meshes, manifest.limits.max_bytes)
     items = [Item(key, entry.split, entry.category, entry_source(entry), sha256, entry.index)
              for (key, entry), sha256 in zip(wanted, sums, strict=True)]
     return items, [row for row in exclusions if row.split in splits]
@@ -152,7 +158,8 @@ def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
             raise OcnfError("a key is too long", field="source.items", found=entry.key,
                             expected=f"at most {limit} characters")
         if entry.key is None and (name != want or len(name) > limit or count[name.lower()] > 1):
-            digest = hashlib.sha256(f"{entry.split}/{entry_source(entry)}".encode()).hexdigest()
+            path = f"{entry.split}/{entry_source(entry)}".encode(errors="surrogatepass")
+            digest = hashlib.sha256(path).hexdigest()
             name = f"{name[:limit - _SUFFIX]}-{digest[:_SUFFIX - 1]}"
         keys.append(name)
     twice = [key for key, n in Counter(key.lower() for key in keys).items() if n > 1]
@@ -175,7 +182,9 @@ def _readable(entry: Entry) -> str:
 
 def entry_source(entry: Entry) -> str:
     """What `Item.source` says of an entry."""
-    return entry.path if entry.path is not None else f"shapes:{entry.category}:{entry.split}:{entry.index}"
+    if entry.path is not None:
+        return entry.path
+    return procedural_name(entry.category, entry.split, entry.index or 0)
 
 
 def _key_limit(manifest: Manifest) -> int:
@@ -197,37 +206,64 @@ def _distinct(entries: Sequence[Entry], meshes: Path | None) -> tuple[list[Entry
         return list(entries), []
     kept: list[Entry] = []
     excluded: list[Failure] = []
-    first: dict[Path, Entry] = {}
+    first: dict[str, Entry] = {}
     for entry in entries:
         if entry.path is None:
             kept.append(entry)
             continue
-        known = first.setdefault((meshes / entry_source(entry)).resolve(), entry)
+        known = first.setdefault(_identity(meshes / entry_source(entry)), entry)
         if known is entry:
             kept.append(entry)
         else:
-            source = entry_source(entry)
-            excluded.append(Failure(source, entry.split, entry.category, source, "plan", EXCLUDED,
-                                    f"is the same file as {known.split}'s {entry_source(known)}"))
+            excluded.append(_exclusion(entry, f"is the same file as {known.split}'s {entry_source(known)}"))
     return kept, excluded
 
 
-def _checksums(entries: Sequence[Entry], meshes: Path | None) -> list[str | None]:
-    """SHA-256 of each mesh file; None for a procedural shape, and for a file that cannot be read."""
+def _identity(path: Path) -> str:
+    """What two names of one file share; of one that cannot be followed, such as a ring of links, its own."""
+    try:
+        return os.path.realpath(path, strict=True)
+    except (OSError, ValueError):  # ValueError: a null byte in the name
+        return str(path)
+
+
+def _exclusion(entry: Entry, why: str) -> Failure:
+    source = printable(entry_source(entry))
+    return Failure(source, entry.split, printable(entry.category), source, "plan", EXCLUDED, printable(why))
+
+
+def _checksums(entries: Sequence[Entry], meshes: Path | None, max_bytes: int) -> list[str | None]:
+    """SHA-256 of each mesh file.
+
+    None for a procedural shape, and for what will be refused unread: no plain file, more than `max_bytes`.
+    An interrupt ends all threads within one `_HASHING_BYTES`.
+    """
+    stop = threading.Event()
+
     def checksum(entry: Entry) -> str | None:
         if meshes is None or entry.path is None:
             return None
         path = meshes / entry.path
         try:
-            if not path.is_file():  # opening a pipe would wait for ever
+            # Looked at first: opening a pipe would wait for ever, and reading a terabyte nearly so.
+            if not path.is_file() or path.stat().st_size > max_bytes:
                 return None
+            digest, left = hashlib.sha256(), max_bytes + 1
             with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError:  # its item will fail and say why
+                while not stop.is_set() and (data := file.read(min(_HASHING_BYTES, left))):
+                    digest.update(data)
+                    left -= len(data)
+        except (OSError, ValueError):  # its item will fail and say why
             return None
+        return digest.hexdigest() if left > 0 else None  # none where it grew meanwhile
 
     with ThreadPoolExecutor(_HASHING_THREADS) as pool:
-        return list(pool.map(checksum, entries))
+        try:
+            return list(pool.map(checksum, entries))
+        except BaseException:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def _encode_items(items: Sequence[Item]) -> bytes:

@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from ocnf_data.errors import printable
+
 EXCLUDED = "excluded"
 """The code of an input that is left out on purpose, and so is no failure."""
 
@@ -86,7 +88,8 @@ class Failure:
     @classmethod
     def of(cls, item: Item, stage: str, code: str, message: str) -> Failure:
         """The failure of an item."""
-        return cls(item.key, item.split, item.category, item.source, stage, code, message)
+        return cls(item.key, item.split, printable(item.category), printable(item.source), stage, code,
+                   printable(message))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, as a row of `failures.jsonl`."""

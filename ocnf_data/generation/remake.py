@@ -9,6 +9,7 @@ from typing import Any
 
 from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError
+from ocnf_data.generation.procedural import is_procedural
 from ocnf_data.generation.records import Item
 from ocnf_data.generation.sample import Noise, observe, read_item, render_item
 from ocnf_data.manifest import Manifest
@@ -70,7 +71,7 @@ def remake_from_surface(manifest: Manifest, facts: Mapping[str, Any], vertices: 
 
 
 def _see(manifest: Manifest, key: str, mesh: Mesh, vertices: F64) -> Remade:
-    views = render_item(manifest, vertices, mesh)
+    views = render_item(manifest, vertices, mesh, key=key)
     noise = Noise(manifest.seed, key, views.size)
     observed = {variant.name: observe(manifest, views, variant, noise) for variant in manifest.inputs}
     return Remade(mesh, vertices, views, observed)
@@ -78,5 +79,5 @@ def _see(manifest: Manifest, key: str, mesh: Mesh, vertices: F64) -> Remade:
 
 def _item(facts: Mapping[str, Any]) -> Item:
     source = facts["source"]
-    index = int(source.rpartition(":")[2]) if source.startswith("shapes:") else None
+    index = int(source.rpartition(":")[2]) if is_procedural(source) else None
     return Item(facts["key"], facts["split"], facts["category"], source, facts["mesh"]["sha256"], index)

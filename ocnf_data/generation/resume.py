@@ -12,6 +12,7 @@ from ocnf_data.generation.plan import PLAN_SCHEMA, Plan
 from ocnf_data.manifest import manifest_difference
 from ocnf_data.shards.dataset import DATASET, PLAN
 
+_SMALL_PLAN = 64 * 2**20  # bytes; larger ones are read if they are about as large as the plan to be followed
 _ELSEWHERE = "generate into another folder, or put it back as it was"
 # They decide when to give up, not what comes out; and where meshes lie is no part of what they are.
 _FREE_FIELDS = ("source.root", "limits.timeout_s", "limits.failure_threshold")
@@ -42,7 +43,7 @@ def adopt(store: Store, plan: Plan,
         with store.writing(PLAN) as path, path.open("wb") as file:
             file.writelines(plan.pieces())
         return plan, []
-    begun = _read(store.read_bytes(PLAN), where)
+    begun = _read(store.read_at_most(PLAN, max(_SMALL_PLAN, 4 * len(plan.to_json()))), where)
     _compare_manifests(begun, plan, where)
     if by_chance_alone is not None and set(begun.splits) < set(plan.splits):
         plan = by_chance_alone()

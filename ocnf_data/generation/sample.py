@@ -15,10 +15,11 @@ import numpy as np
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
 from ocnf_data.generation.fingerprint import view_fingerprint
+from ocnf_data.generation.procedural import make_procedural
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.manifest import Manifest, Target, Variant
 from ocnf_data.meshes import Mesh, Normalisation, normalise, read_mesh
@@ -26,13 +27,18 @@ from ocnf_data.octree import GridOctree
 from ocnf_data.octree.codec import encode
 from ocnf_data.octree.occupied import occupied
 from ocnf_data.render import render_depth
-from ocnf_data.shapes import make_shape
+from ocnf_data.render.clearance import clearance
 from ocnf_data.shards.tarformat import JSON, input_member, target_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.rigs import look_from, rig_from_name
 from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
 from ocnf_data.views.store import KeptViews, ViewStore
+from ocnf_data.views.trajectories import path_around, path_inside
+
+# Shares of the grid's extent: what is free around a path, and what somebody outside of things sees at least.
+_MARGIN, _OPEN = 0.04, 0.2
+_WITHIN = np.array([[0.12, 0.12, 0.4], [0.88, 0.88, 0.75]])  # of the mesh's box, in which a path inside stays
 
 
 def maker(setup: dict[str, Any]) -> Callable[[Item, Stages], Sample]:
@@ -112,9 +118,12 @@ def make_sample(
 def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | None) -> Mesh:
     """The mesh of an item, read or made; OcnfError where the file is not the one that was planned with."""
     if item.index is not None:
-        return make_shape(item.category, manifest.seed, item.index, item.split)
+        return make_procedural(item.category, manifest.seed, item.index, item.split)
     if meshes is None:
         raise OcnfError("the folder of the meshes is not given", code="missing", where=item.source)
+    if item.source != printable(item.source):
+        raise OcnfError("the name is not UTF-8, so no sample can carry it", code="unreadable",
+                        where=item.source, fix="rename the file, and generate into another folder")
     try:
         mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
     except OcnfError as error:
@@ -140,7 +149,7 @@ def _see(manifest: Manifest, item: Item, mesh: Mesh, vertices: F64, normalisatio
     else:
         store = None
         with stages("render"):
-            views = render_item(manifest, vertices, mesh)
+            views = render_item(manifest, vertices, mesh, key=item.key)
     if keep is not None and store is not keep:
         with stages("keep views"):
             keep.keep(item.key, KeptViews(views, mesh.sha256, fingerprint, normalisation,
@@ -158,12 +167,33 @@ def _find(store: ViewStore, key: str, mesh_sha256: str, fingerprint: str) -> Vie
         return None
 
 
-def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, directions: F64 | None = None) -> Views:
-    """Views without noise of normalised vertices (N, 3), from `directions` (V, 3) or all those of the rig."""
+def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, directions: F64 | None = None,
+                key: str = "") -> Views:
+    """Views without noise of normalised vertices (N, 3).
+
+    From `directions` (V, 3) or all those of the rig; `key` is the item's, on which hand-held paths depend.
+    """
     camera = manifest.camera
-    R, T = look_from(rig_from_name(camera.rig) if directions is None else directions, camera.distance)
+    R, T = _cameras(manifest, vertices, mesh, key) if directions is None else look_from(
+        directions, camera.distance)
     depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
     return Views(depth, camera.K, R, T)
+
+
+def _cameras(manifest: Manifest, vertices: F64, mesh: Mesh, key: str) -> tuple[F64, F64]:
+    """R (V, 3, 3) and T (V, 3), world to camera."""
+    camera = manifest.camera
+    if camera.path is None:
+        return look_from(rig_from_name(camera.rig), camera.distance)
+    (kind, n), extent = camera.path, manifest.normalise.extent
+    free = clearance(vertices, mesh.faces, _OPEN * extent)
+    margin = _MARGIN * extent
+    if kind == "around":
+        return path_around(n, manifest.seed, key, (0.0, 0.0, 0.0), camera.distance, free, margin)
+    used = vertices[np.unique(mesh.faces)]
+    low, size = used.min(axis=0), np.ptp(used, axis=0)
+    first, last = ((low + size * share).tolist() for share in _WITHIN)
+    return path_inside(n, manifest.seed, key, first, last, free, margin)
 
 
 def fuse_truth(manifest: Manifest, pyramid: DepthPyramid, resolution: int) -> GridOctree:

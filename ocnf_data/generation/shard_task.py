@@ -21,6 +21,8 @@ from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.index import index_path
 from ocnf_data.shards.writer import ShardWriter, find_complete
 
+_MAX_FAILURES = 256 * 2**20  # bytes of one shard's failure rows
+
 
 @dataclass(frozen=True)
 class ShardTask:
@@ -125,5 +127,5 @@ def _put_failures(store: Store, shard: ShardPlan, failures: Sequence[Failure]) -
 
 
 def _read_failures(store: Store, shard: ShardPlan) -> list[Failure]:
-    lines = store.read_bytes(failures_path(shard)).splitlines()
+    lines = store.read_at_most(failures_path(shard), _MAX_FAILURES).splitlines()
     return [Failure.from_json(json.loads(line)) for line in lines]

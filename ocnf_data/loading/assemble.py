@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import logging
-import multiprocessing
 from collections.abc import Iterator
 from dataclasses import dataclass
-
-import numpy as np
 
 from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
@@ -15,12 +11,12 @@ from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment, draw_symmetry
 from ocnf_data.loading.catalogue import Catalogue
 from ocnf_data.loading.fetch import Fetcher, RawSample
+from ocnf_data.loading.lost import LostSamples
 from ocnf_data.loading.order import Partition, Uneven
 from ocnf_data.octree.symmetry import Symmetry
 
-_log = logging.getLogger("ocnf_data.loading.dataset")
-# Skipping these would hide that nothing can be read at all.
-_NOT_DAMAGE = frozenset({"unreachable", "permission"})
+NOT_DAMAGE = frozenset({"unreachable", "permission"})
+"""Codes of errors that skipping would hide: nothing can be read at all."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +57,10 @@ class Assembler:
         self._fetcher = Fetcher(catalogue)
         self._keys = catalogue.keys
         met = min(len(catalogue), partition.n_batches * partition.batch_size)
-        self._limit = max(1, int(max_bad_fraction * met))
-        # Last epoch, counted from 1, in which each sample was lost. Workers write without a lock: two that
-        # lose the same sample write the same number. Of a spawn context, which works under fork too.
-        self._lost_in = multiprocessing.get_context("spawn").RawArray("q", len(catalogue))
+        limit = max(1, int(max_bad_fraction * met))
+        self._lost = LostSamples(len(catalogue), limit, "damaged samples", "ShardDataset",
+                                 "run `ocnf-data verify`, then `ocnf-data repair`",
+                                 "ocnf_data.loading.dataset")
 
     def assemble(self, order: I64, epoch: int, step: int) -> Assembled:
         """Batch `step` of the epoch whose order is given.
@@ -90,8 +86,7 @@ class Assembler:
 
     def lost(self, epoch: int) -> list[str]:
         """Keys of the samples that this rank lost in an epoch, unless a later one lost them again."""
-        lost_in = np.frombuffer(self._lost_in, np.int64)
-        return [self._keys[sample] for sample in np.flatnonzero(lost_in == epoch + 1).tolist()]
+        return [self._keys[sample] for sample in self._lost.of(epoch)]
 
     def _stand_in(self, order: I64, epoch: int, spares: Iterator[int], lost: list[Lost]) -> RawSample:
         for place in spares:
@@ -105,20 +100,8 @@ class Assembler:
         try:
             return self._fetcher.fetch(sample)
         except OcnfError as error:
-            if self._on_error is OnError.RAISE or error.code in _NOT_DAMAGE:
+            if self._on_error is OnError.RAISE or error.code in NOT_DAMAGE:
                 raise
             lost.append(Lost(self._keys[sample], error.code, str(error)))
-            self._count(sample, epoch, error)
+            self._lost.count(sample, epoch, f"sample left out: {error}", error)
             return None
-
-    def _count(self, sample: int, epoch: int, error: OcnfError) -> None:
-        lost_in = np.frombuffer(self._lost_in, np.int64)
-        if lost_in[sample] != epoch + 1:
-            lost_in[sample] = epoch + 1
-            _log.warning("sample left out: %s", error)
-        count = int((lost_in == epoch + 1).sum())
-        if count > self._limit:
-            raise OcnfError("too many damaged samples in one epoch", code="too_many_bad",
-                            where="ShardDataset", field="max_bad_fraction",
-                            found=f"{count}, the last: {error}", expected=f"at most {self._limit}",
-                            fix="run `ocnf-data verify`, then `ocnf-data repair`") from None

@@ -8,7 +8,7 @@ sample's members lie is looked up when it is fetched (`loading.places`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -263,16 +263,31 @@ def _what_there_is(members: Collection[str]) -> str:
 
 
 def _check_agreement(urls: Sequence[str], infos: Sequence[DatasetInfo]) -> None:
-    """Refuse data sets whose values mean different things: their truncation, target or size of the cube."""
+    """Refuse data sets whose values mean different things."""
     for url, info in zip(urls, infos, strict=True):
-        for field, mine, first in zip(("truncation_voxels", "target", "normalise.extent"),
-                                      _meaning(info.manifest), _meaning(infos[0].manifest), strict=True):
-            if mine != first:
-                raise OcnfError("the data sets do not go together", where=url, field=field, found=mine,
-                                expected=f"{first}, as in {urls[0]}")
+        check_meaning(url, info.manifest, urls[0], infos[0].manifest)
 
 
-def _meaning(manifest: dict[str, Any]) -> tuple[object, object, object]:
+def check_meaning(where: str, manifest: Mapping[str, Any], first: str, other: Mapping[str, Any]) -> None:
+    """Refuse a data set whose truncation, target or size of the cube are not those of another one.
+
+    Args:
+        where: the data set.
+        manifest: its resolved manifest.
+        first: the other one.
+        other: its manifest.
+
+    Raises:
+        OcnfError: names the field and both values.
+    """
+    for field, mine, theirs in zip(("truncation_voxels", "target", "normalise.extent"),
+                                   _meaning(manifest), _meaning(other), strict=True):
+        if mine != theirs:
+            raise OcnfError("the data sets do not go together", where=where, field=field, found=mine,
+                            expected=f"{theirs}, as in {first}")
+
+
+def _meaning(manifest: Mapping[str, Any]) -> tuple[object, object, object]:
     normalise = manifest.get("normalise")
     extent = normalise.get("extent") if isinstance(normalise, dict) else None
     return manifest.get("truncation_voxels"), manifest.get("target"), extent

@@ -34,6 +34,7 @@ from ocnf_data.loading.batch import Batch, Octrees, make_batch
 from ocnf_data.loading.catalogue import Request, open_catalogue
 from ocnf_data.loading.epochs import EpochDataset, place_in_world
 from ocnf_data.loading.order import Partition, Uneven, epoch_order
+from ocnf_data.loading.shard_supply import ShardSupply
 
 __all__ = ["Batch", "Lost", "Octrees", "ShardDataset"]
 
@@ -158,6 +159,10 @@ class ShardDataset(EpochDataset):
         if partition.uneven is Uneven.EXACT:  # ranks differ in length, so a step means another place in each
             order["rank"] = partition.rank
         return order
+
+    def supply(self) -> ShardSupply:
+        """Its samples by number, as a part of a `MixtureDataset`."""
+        return ShardSupply(self._catalogue, self._seed, self._buffer, self._shuffle, self.checksum)
 
     # ---- what is in it
 

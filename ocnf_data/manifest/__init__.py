@@ -1,6 +1,6 @@
 """What a data set is: a typed YAML manifest, and which meshes make up its splits.
 
-A manifest's `source` has five kinds: `shapes` (procedural, no files), `modelnet`
+A manifest's `source` has six kinds: `shapes` and `scenes` (procedural, no files), `modelnet`
 (`ROOT/category/folder/*.off`), `folder` (every mesh anywhere below a folder), `list` (explicit paths) and
 `mixture` (several of these, with weights). Each gives its `entries` in a fixed order; none may name the same
 mesh twice, in one split or in two.

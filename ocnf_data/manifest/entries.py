@@ -27,6 +27,12 @@ class Entry:
     """Counts within category and split, from 0."""
     key: str | None = None
     """The key an explicit list gives it."""
+    excluded: str | None = None
+    """Why it is left out; it is counted all the same."""
+
+
+HIDDEN = "is hidden: its name begins with a dot"
+"""Why `.chair_0001.off` is left out (editors, and macOS with `._chair_0001.off`, leave such files)."""
 
 
 class SplitCategories(Strict):

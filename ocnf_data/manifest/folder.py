@@ -16,8 +16,9 @@ from pydantic import Field, PrivateAttr, SerializerFunctionWrapHandler, model_se
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, refused
-from ocnf_data.manifest.entries import SPLITS, Entry, given
+from ocnf_data.manifest.entries import HIDDEN, SPLITS, Entry, given
 from ocnf_data.meshes.formats import FORMATS
+from ocnf_data.meshes.listing import is_hidden
 
 Pattern = Annotated[str, Field(min_length=1)]
 
@@ -42,7 +43,8 @@ class FolderSource(Strict):
 
     Chance decides on its split, drawn from (seed, path) alone: adding files moves no other file. Only where
     chance leaves a share above 0 without a mesh, it takes one from the largest split: the one whose draw came
-    nearest. Small sets so have something of everything that was asked for.
+    nearest. Small sets so have something of everything that was asked for. A link to a file counts as that
+    file, wherever it lies; links to folders, and hidden folders, are not entered.
     """
 
     kind: Literal["folder"]
@@ -84,21 +86,24 @@ class FolderSource(Strict):
         return tuple(split for split in SPLITS if getattr(self.shares, split))
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """By split and path."""
+        """By split and path; then the hidden files."""
         base = given(root)
-        there = list(_meshes_below(base))
-        taken = [path for path in there if self._takes(path)]
-        if not taken:
-            raise OcnfError("no mesh found", code="empty", where=base, field="source.root",
-                            found=f"{len(there)} meshes, none of which the patterns take" if there else None,
+        below = list(_meshes_below(base))
+        taken = [path for path in below if self._takes(path)]
+        shown = [path for path in taken if not is_hidden(path.rpartition("/")[2])]
+        paths = sorted(shown, key=lambda path: _chance(seed, path)[0])[:self.at_most]
+        if not paths:
+            unfit = f"{len(below)} meshes, none of which the patterns take" if below and not taken else None
+            raise OcnfError("no mesh found", code="empty", where=base, field="source.root", found=unfit,
                             expected=f"files *{', *'.join(FORMATS)} in it or in its folders")
-        paths = sorted(taken, key=lambda path: _chance(seed, path)[0])[:self.at_most]
-        chances = {path: _chance(seed, path)[1] for path in paths}
-        splits = {path: self._split(chance) for path, chance in chances.items()}
+        chances = {path: _chance(seed, path)[1] for path in taken}
+        splits = {path: self._split(chances[path]) for path in paths}
         if self._fills:
             self._fill(splits, chances)
         found = [Entry(split=splits[path], category=self._category(path), path=path) for path in paths]
-        return sorted(found, key=lambda entry: (SPLITS.index(entry.split), entry.path))
+        hidden = [Entry(split=self._split(chances[path]), category=self._category(path), path=path,
+                        excluded=HIDDEN) for path in sorted(set(taken) - set(shown))]
+        return [*sorted(found, key=lambda entry: (SPLITS.index(entry.split), entry.path)), *hidden]
 
     def _takes(self, path: str) -> bool:
         wanted = not self.include or any(fnmatchcase(path, pattern) for pattern in self.include)
@@ -140,14 +145,14 @@ def _chance(seed: int, path: str) -> tuple[float, float]:
 
 
 def _meshes_below(root: Path) -> Iterator[str]:
-    """POSIX paths of all mesh files, relative to the root; hidden files and folders are passed over."""
+    """POSIX paths of all mesh files, relative to the root; hidden ones too, but not in hidden folders."""
 
     def fail(error: OSError) -> None:  # os.walk's default is to skip unreadable folders in silence
         raise error
 
     with storage_errors(root):
         for folder, folders, files in os.walk(root, onerror=fail):
-            folders[:] = [name for name in folders if not name.startswith(".")]
+            folders[:] = [name for name in folders if not is_hidden(name)]
             for name in files:
-                if Path(name).suffix.lower() in FORMATS and not name.startswith("."):
+                if Path(name).suffix.lower() in FORMATS:
                     yield (Path(folder) / name).relative_to(root).as_posix()

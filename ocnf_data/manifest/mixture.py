@@ -12,10 +12,11 @@ from ocnf_data.manifest.entries import Entry
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
 from ocnf_data.manifest.modelnet import ModelNetSource
+from ocnf_data.manifest.scenes import ScenesSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.manifest.synthesis import DrawWeight
 
-PlainSource = Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource,
+PlainSource = Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | ScenesSource,
                         Field(discriminator="kind")]
 
 
@@ -51,4 +52,4 @@ class MixtureSource(Strict):
     @property
     def reads_files(self) -> bool:
         """Whether some part is of mesh files."""
-        return any(part.source.kind != "shapes" for part in self.parts)
+        return any(part.source.kind not in ("shapes", "scenes") for part in self.parts)

@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import storage_errors
 from ocnf_data.files.validation import Int, Strict, refused
-from ocnf_data.manifest.entries import SPLITS, Categories, Entry, given
-from ocnf_data.meshes.listing import list_modelnet
+from ocnf_data.manifest.entries import HIDDEN, SPLITS, Categories, Entry, given
+from ocnf_data.meshes.listing import is_hidden, list_hidden, list_modelnet
 
 
 def _count(value: Any) -> int | Literal["all"]:
@@ -113,16 +113,19 @@ class ModelNetSource(Strict):
         return first == "all" or second == "all" or bool(set(first) & set(second))
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """By split, category as listed, file name."""
+        """By split, category as listed, file name; then the hidden files of the folders that were listed."""
         base = given(root)
         found = []
+        hidden: dict[str, Entry] = {}  # by path, as two splits may share a folder
         for split in SPLITS:
             chosen: Slice = getattr(self.counts, split)
             if chosen.count != 0:
                 for category in self._names(base, split):
                     files = list_modelnet(base, category, chosen.folder)
                     found += [Entry(split, category, posixpath.normpath(path)) for path in chosen.of(files)]
-        return found
+                    for path in map(posixpath.normpath, list_hidden(base, category, chosen.folder)):
+                        hidden.setdefault(path, Entry(split, category, path, excluded=HIDDEN))
+        return [*found, *hidden.values()]
 
     def _names(self, root: Path, split: str) -> Sequence[str]:
         chosen = self.categories[split]
@@ -131,7 +134,7 @@ class ModelNetSource(Strict):
         folder = getattr(self.counts, split).folder
         with storage_errors(root):
             names = sorted(p.name for p in root.iterdir()
-                           if not p.name.startswith(".") and (p / folder).is_dir())
+                           if not is_hidden(p.name) and (p / folder).is_dir())
         if not names:
             raise OcnfError("no category found", code="empty", where=root, field="source.categories",
                             expected=f"folders CATEGORY/{folder} with meshes")

@@ -40,9 +40,11 @@ from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
 from ocnf_data.manifest.mixture import MixtureSource
 from ocnf_data.manifest.modelnet import ModelNetSource
+from ocnf_data.manifest.scenes import ScenesSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.manifest.synthesis import Synthesis
 from ocnf_data.views.rigs import intrinsics, rig_from_name, view_subset
+from ocnf_data.views.trajectories import path_from_name
 
 SCHEMA = 1
 _IDENTIFIER = re.compile(r"[A-Za-z0-9_]+")
@@ -73,11 +75,17 @@ class Normalise(Strict):
 
 
 class Camera(Strict):
-    """The virtual cameras: `rig` names the directions, the rest is one pinhole for all of them (pixels)."""
+    """The virtual cameras: `rig` names them, the rest is one pinhole for all of them (pixels).
+
+    Rigs of directions look at the origin from `distance`. `around<n>` and `inside<n>` are hand-held paths,
+    another for each item: around the origin at about `distance`, or within the mesh's box
+    (`views.trajectories`).
+    """
 
     rig: str = "published80"
     """`published80` (the 80 directions of the paper's published code), `icosphereN` (20 * 4^N directions, N
-    up to 5) or `fibonacciN` (N directions, up to 20480)."""
+    up to 5), `fibonacciN` (N directions, up to 20480), or a hand-held path of N views, up to 2000, another
+    for each item: `aroundN`, or `insideN` the mesh's box."""
     width: Annotated[Int, Field(ge=1, le=8192)] = 640
     """Columns of the image, pixels."""
     height: Annotated[Int, Field(ge=1, le=8192)] = 480
@@ -98,7 +106,8 @@ class Camera(Strict):
     @classmethod
     def _known_rig(cls, name: str) -> str:
         try:
-            rig_from_name(name)
+            if path_from_name(name) is None:
+                rig_from_name(name)
         except OcnfError as error:
             raise refused(error.what, expected=error.expected) from error
         return name
@@ -106,7 +115,12 @@ class Camera(Strict):
     @property
     def n_views(self) -> int:
         """Number of views in the rig; the ground truth is fused from all of them."""
-        return len(rig_from_name(self.rig))
+        return self.path[1] if self.path else len(rig_from_name(self.rig))
+
+    @property
+    def path(self) -> tuple[str, int] | None:
+        """(`around` or `inside`, number of views) of a hand-held path; None for a rig of directions."""
+        return path_from_name(self.rig)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -209,9 +223,10 @@ class Manifest(Strict):
     """Name of the data set; letters, digits, `_`, `-` and `.`, not `-` or `.` at first."""
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
     """Of everything that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
-    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource,
+    source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource
+                      | ScenesSource,
                       Field(discriminator="kind")]
-    """The meshes and their splits; `kind` says which of the five."""
+    """The meshes and their splits; `kind` says which of the six."""
     normalise: Normalise = Normalise()
     camera: Camera = Camera()
     renderer: Literal["raster", "pyrender"] = "raster"
@@ -268,7 +283,10 @@ class Manifest(Strict):
         if self.synthesis is not None and self.synthesis.views[1] > n:
             raise refused(f"the rig {self.camera.rig} has fewer views", at="synthesis.views[1]",
                           found=self.synthesis.views[1], expected=f"1 to {n}")
-        if self.camera.distance <= self.normalise.radius:
+        if self.synthesis is not None and self.camera.path is not None:
+            raise refused("a hand-held path cannot be drawn from", at="camera.rig", found=self.camera.rig,
+                          expected="a rig of directions where there is synthesis")
+        if self.camera.path is None and self.camera.distance <= self.normalise.radius:
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
                           expected=f"more than {self.normalise.radius:.4g} m")
@@ -323,7 +341,7 @@ class Manifest(Strict):
         Raises:
             OcnfError: neither is given.
         """
-        if isinstance(self.source, ShapesSource) or \
+        if isinstance(self.source, ShapesSource | ScenesSource) or \
                 (isinstance(self.source, MixtureSource) and not self.source.reads_files):
             return None
         if override is not None:

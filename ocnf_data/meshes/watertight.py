@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.files.interrupts import ignore_interrupts, starting_processes
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import fuse_tsdf
 from ocnf_data.meshes.formats import FORMATS
@@ -143,11 +144,27 @@ def _run(tasks: list[tuple[Path, Path]], resolution: int, level: float,
         return
     try:
         import joblib
+        from joblib.externals.loky import get_reusable_executor
     except ImportError as error:
         raise missing_extra("several jobs need joblib", "generate") from error
     # loky gives each worker its share of the cores' threads.
     parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)), backend="loky", return_as="generator_unordered")
-    yield from parallel(joblib.delayed(_one)(path, target, resolution, level) for path, target in tasks)
+    finished = False
+    try:
+        with starting_processes():
+            results = parallel(joblib.delayed(_in_worker)(path, target, resolution, level)
+                               for path, target in tasks)
+        yield from results
+        finished = True
+    finally:
+        if not finished:
+            get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+
+
+def _in_worker(path: Path, target: Path, resolution: int,
+               level: float) -> tuple[Path, Path, OcnfError | None]:
+    ignore_interrupts()
+    return _one(path, target, resolution, level)
 
 
 def _one(path: Path, target: Path, resolution: int, level: float) -> tuple[Path, Path, OcnfError | None]:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from ocnf_data.arrays import F32, I64
+from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.grid import GridOctree
 from ocnf_data.octree.surface import occupied_box
@@ -60,14 +60,14 @@ def cell_triangles(octree: GridOctree, extent: float = 3.0) -> CellTriangles:
         return CellTriangles(np.empty((0, 3, 3), np.float32), np.zeros(1, np.int64),
                              np.empty((0, 3), np.float32))
     values = np.pad(box.to_dense()[0], 1, constant_values=1.0)
-    cells, triangles = _count(values, _N_TRIANGLES)
+    cells, triangles = _count(values)
     cell_at, triangle_at = _offsets(cells), _offsets(triangles)
     found = CellTriangles(np.empty((triangle_at[-1], 3, 3), np.float32), np.empty(cell_at[-1] + 1, np.int64),
                           np.empty((cell_at[-1], 3), np.float32))
     size = extent / max(octree.shape)
     # Index 0 of `values` is the voxel before the box's first, so its centre lies half a voxel outside.
     corner = (8.0 * first_tree[::-1] - 0.5 - np.array(octree.shape[::-1]) / 2) * size
-    _fill(values, _TRIANGLES, _N_TRIANGLES, cell_at, triangle_at, size, corner, *found)
+    _fill(values, cell_at, triangle_at, np.append(corner, size), *found)
     found.first[-1] = len(found.triangles)
     return found
 
@@ -115,7 +115,7 @@ _TRIANGLES, _N_TRIANGLES = _table()
 
 
 @njit(cache=True, nogil=True)
-def _column(values: F32, z: int, y: int, x: int) -> int:
+def _column(values: F32, z: int | np.int64, y: int, x: int) -> int:
     """Which of the four voxels of a cell's side at x are inside, as bits 0, 2, 4, 6 of a cell's code."""
     code = 0
     if values[z, y, x] < 0:
@@ -130,7 +130,7 @@ def _column(values: F32, z: int, y: int, x: int) -> int:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _count(values: F32, n_triangles: I64) -> tuple[I64, I64]:
+def _count(values: F32) -> tuple[I64, I64]:
     """Cells with a surface, and their triangles, in each layer of cells."""
     depth, height, width = values.shape
     cells, triangles = np.zeros(depth - 1, np.int64), np.zeros(depth - 1, np.int64)
@@ -144,15 +144,18 @@ def _count(values: F32, n_triangles: I64) -> tuple[I64, I64]:
                 before = after
                 if code != 0 and code != 255:
                     n_cells += 1
-                    n += n_triangles[code]
+                    n += _N_TRIANGLES[code]
         cells[z], triangles[z] = n_cells, n
     return cells, triangles
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _fill(values, table, n_triangles, cell_at, triangle_at, size, corner,  # type: ignore[no-untyped-def]
-          out, first, centres):
-    """Write the cells and triangles of each layer from where `_count` says that they begin."""
+def _fill(values: F32, cell_at: I64, triangle_at: I64, placing: F64, out: F32, first: I64,
+          centres: F32) -> None:
+    """Write the cells and triangles of each layer from where `_count` says that they begin.
+
+    `placing`: where index (0, 0, 0) of `values` lies, x y z, and the size of a voxel, metres.
+    """
     depth, height, width = values.shape
     for layer in prange(depth - 1):
         z = np.int64(layer)
@@ -166,18 +169,19 @@ def _fill(values, table, n_triangles, cell_at, triangle_at, size, corner,  # typ
                 before = after
                 if code == 0 or code == 255:
                     continue
-                _cut(values, z, y, x - 1, code, size, corner, cuts, centres[cell])
+                _cut(values, z, y, x - 1, code, placing, cuts, centres[cell])
                 first[cell] = triangle
                 cell += 1
-                for n in range(n_triangles[code]):
+                for n in range(_N_TRIANGLES[code]):
                     for k in range(3):
                         for axis in range(3):
-                            out[triangle, k, axis] = cuts[table[code, n, k], axis]
+                            out[triangle, k, axis] = cuts[_TRIANGLES[code, n, k], axis]
                     triangle += 1
 
 
 @njit(cache=True, nogil=True)
-def _cut(values, z, y, x, code, size, corner, cuts, mean):  # type: ignore[no-untyped-def]
+def _cut(values: F32, z: int | np.int64, y: int, x: int, code: int, placing: F64, cuts: F64,
+         mean: F32) -> None:
     """Where the cell's edges are cut, (12, 3) x y z in metres, and the mean of the cuts."""
     mean[:] = 0
     n = 0
@@ -191,7 +195,7 @@ def _cut(values, z, y, x, code, size, corner, cuts, mean):  # type: ignore[no-un
         cut[0], cut[1], cut[2] = x + (a & 1), y + (a >> 1 & 1), z + (a >> 2)
         cut[edge // 4] += at_a / (at_a - at_b)
         for axis in range(3):
-            cut[axis] = corner[axis] + size * cut[axis]
+            cut[axis] = placing[axis] + placing[3] * cut[axis]
             mean[axis] += cut[axis]
         n += 1
     for axis in range(3):

@@ -1,6 +1,6 @@
 """Ground truth that the epochs of a season share, in a folder: a cache, which changes nothing but the time.
 
-    CACHE/season-000004/<SHA-256 of body and resolution>.oct      as `octree.codec` encodes it
+    CACHE/<checksum>/season-000004/<SHA-256 of body and resolution>.oct      as `octree.codec` encodes it
 
 Processes write without a word to one another: whole files by rename, and equal names have equal contents.
 A season's folder goes when the one after the next begins. Damaged files are made anew.
@@ -27,11 +27,11 @@ class TruthCache:
 
     Args:
         folder: of the cache; it need not exist.
-        checksum: of the sources, a part of every name.
+        checksum: of the sources.
     """
 
     def __init__(self, folder: Path, checksum: str) -> None:
-        self._folder, self._checksum = folder, checksum
+        self._folder, self._checksum = folder / checksum[:16], checksum
         self._season = -1
 
     def find(self, season: int, body: list[int], resolutions: tuple[int, ...],

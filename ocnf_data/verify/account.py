@@ -18,7 +18,7 @@ from ocnf_data.files.storage import Store
 from ocnf_data.shards.dataset import FAILURES, PLAN
 from ocnf_data.verify.problems import VerifyReport
 
-_MAX_TEXT_BYTES = 256 * 2**20
+_MAX_TEXT_BYTES = 2**30  # the plan of a million mesh files has some 270 MB
 
 
 def check_account(store: Store, report: VerifyReport, names: Iterable[str], samples: set[str]) -> None:

@@ -16,7 +16,7 @@ from ocnf_data.shards.catalogue import made_catalogue
 from ocnf_data.shards.dataset import FileEntry, load_dataset, write_dataset
 from ocnf_data.shards.index import catalogue_path, index_path, is_shard, shard_path
 from ocnf_data.shards.index_files import rebuild_index
-from ocnf_data.verify.problems import Problem
+from ocnf_data.verify.problems import Problem, VerifyReport
 from ocnf_data.verify.verify import verify
 
 QUARANTINE = "quarantine"
@@ -51,7 +51,11 @@ def find_damaged(
     url: str | Store, jobs: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> list[DamagedShard]:
     """The shards of a data set that are not whole, missing ones included, in the order of their paths."""
-    report = verify(url, jobs, progress)
+    return damaged_shards(verify(url, jobs, progress))
+
+
+def damaged_shards(report: VerifyReport) -> list[DamagedShard]:
+    """As `find_damaged`, of a report that is there already."""
     damaged = []
     for path in report.damaged_shards:
         split, _, shard = path.partition("/")
@@ -111,7 +115,9 @@ def restore_catalogues(url: str | Store) -> list[str]:
 
 
 def quarantine(url: str | Store, path: str) -> list[str]:
-    """Move a shard and its index to `quarantine/`; what is there already keeps its name.
+    """Move a shard and its index, or what is in their places, to `quarantine/`.
+
+    What is there already keeps its name.
 
     Args:
         url: folder or fsspec URL of the data set.
@@ -127,7 +133,7 @@ def quarantine(url: str | Store, path: str) -> list[str]:
     split, _, shard = path.partition("/")
     moved = []
     for name in (index_path(split, shard), path):
-        if store.exists(name):
+        if _is_taken(store, name):
             moved.append(_move(store, name, _free_name(store, f"{QUARANTINE}/{name}")))
     return moved
 
@@ -137,10 +143,16 @@ def _is_file(store: Store, name: str, data: bytes) -> bool:
     return store.exists(name) and store.size(name) == len(data) and store.read_bytes(name) == data
 
 
+def _is_taken(store: Store, name: str) -> bool:
+    """Whether anything has the name: a file, or locally a folder, a pipe or a link to nowhere."""
+    path = store.local_path(name)
+    return store.exists(name) if path is None else path.exists() or path.is_symlink()
+
+
 def _free_name(store: Store, name: str) -> str:
-    if not store.exists(name):
+    if not _is_taken(store, name):
         return name
-    return next(free for number in count(1) if not store.exists(free := f"{name}.{number}"))
+    return next(free for number in count(1) if not _is_taken(store, free := f"{name}.{number}"))
 
 
 def _move(store: Store, name: str, target: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -145,9 +144,9 @@ def print_summary(summary: DatasetSummary, console: Console) -> None:
     console.print(splits, "", members, sep="\n")
 
 
-def fingerprint_lines(fingerprint: str | Mapping[str, Any]) -> list[str]:
+def fingerprint_lines(fingerprint: object) -> list[str]:
     """What the bytes depend on besides manifest and meshes, as sentences: libraries and processor."""
-    if isinstance(fingerprint, str):
+    if not isinstance(fingerprint, Mapping):
         return [f"fingerprint {fingerprint}"]
     lines = []
     for name, value in fingerprint.items():

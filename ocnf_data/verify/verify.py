@@ -13,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeAlias
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.interrupts import ignore_interrupts, starting_processes
 from ocnf_data.files.storage import Store
 from ocnf_data.shards.catalogue import ShardContents, SplitCatalogue, stored_catalogue
 from ocnf_data.shards.dataset import DATASET, FAILURES, PLAN, DatasetInfo, ShardEntry, load_dataset
@@ -85,9 +86,16 @@ def _check_shards(store: Store, shards: list[_Shard], jobs: int) -> Iterator[Sha
         return
     # spawn: a forked child would inherit the locks of numba's and of fsspec's threads
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(shards)), mp_context=context) as pool:
-        for future in as_completed([pool.submit(check_shard, store, *shard) for shard in shards]):
-            yield future.result()
+    with ProcessPoolExecutor(min(jobs, len(shards)), context, ignore_interrupts) as pool:
+        try:
+            with starting_processes():
+                futures = [pool.submit(check_shard, store, *shard) for shard in shards]
+            for future in as_completed(futures):
+                yield future.result()
+        except BaseException:  # Ctrl-C: nobody waits for what they are at
+            for process in multiprocessing.active_children():
+                process.kill()
+            raise
 
 
 def _check_files(store: Store, report: VerifyReport, names: list[str], shards: list[_Shard]) -> None:

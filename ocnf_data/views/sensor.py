@@ -108,11 +108,32 @@ def add_sensor_noise(depth: F32, K: F64, draws: SensorDraws, strength: float = 1
     clean = np.ascontiguousarray(depth, dtype=np.float32)
     if strength == 0:
         return clean.copy()
-    focal = float(K[0, 0])
-    reach = round(_WINDOW * focal / _FOCAL) // 2
+    reach = round(_WINDOW * float(K[0, 0]) / _FOCAL) // 2
     fields = np.stack([_averaged(field, reach) for field in draws.normal])
-    pinhole = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], dtype=np.float64)
-    return _sense(clean, pinhole, fields, draws.uniform, strength, metres)
+    return _sense(clean, _pinhole(K), fields, draws.uniform, strength, metres)
+
+
+def pixel_angles(depth: F32, K: F64) -> F32:
+    """Angle (H, W) in radians, at most 85 degrees, between each pixel's ray and the normal of its surface.
+
+    Args:
+        depth: (H, W) float32 metres, of one view; free and unmeasured pixels have the angle 0.
+        K: (3, 3) intrinsics in pixels.
+    """
+    return _angles(np.ascontiguousarray(depth, dtype=np.float32), _pinhole(K))
+
+
+def _pinhole(K: F64) -> F64:
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], dtype=np.float64)
+
+
+@njit(cache=True, nogil=True)
+def _angles(clean: F32, pinhole: F64) -> F32:
+    out = np.empty_like(clean)
+    for v in range(len(clean)):
+        for u in range(clean.shape[1]):
+            out[v, u] = _angle(clean, pinhole, v, u)
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -82,10 +82,12 @@ def mad_by_region(prediction: OctreeBatch, truth: OctreeBatch, seen: OctreeBatch
     """
     structure = prediction.structure.union(truth.structure).union(seen.structure)
     pair = Pair.of(prediction.refined(structure), truth.refined(structure))
-    looked_at = seen.refined(structure).features > 0.5
+    unseen = seen.refined(structure).features <= 0.5
     target = pair.target.clamp(-1, 1)
     costs = (pair.prediction.clamp(-1, 1).double() - target.double()).abs()
-    parts = (target >= 1, target.abs() < 1, target <= -1)
-    inside = torch.cat([look & part for look in (looked_at, ~looked_at) for part in parts], dim=1)
+    costs *= structure.volumes(costs.device)
+    region = 3 * unseen.long() + (target < 1).long() + (target <= -1).long()
     depth, height, width = structure.shape
-    return pair.sum_over_voxels(costs * inside) / (depth * height * width) * (1000 * tau)
+    sums = [torch.bincount(where[:, 0], cost[:, 0], minlength=6) for where, cost in zip(
+        region.split(structure.leaves_per_grid), costs.split(structure.leaves_per_grid), strict=True)]
+    return torch.stack(sums) / (depth * height * width) * (1000 * tau)

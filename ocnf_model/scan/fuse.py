@@ -63,11 +63,11 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
     region = None if box is None else Region.of_box(box)
     fuser = _fuser(run, chosen, resolution, device, weight)
     read = read_scan(scan, every=every, **(reading or {}))
+    console = console or Console()
+    for note in (*read.notes, *read.warnings):  # before anything fails for the reason that they give
+        console.print(f"Note: {note}", highlight=False, markup=False)
     mesh = fuse_scan(read, fuser, region=region, keep_unseen=keep_unseen)
     mesh.save(out)
-    console = console or Console()
-    for note in mesh.notes:
-        console.print(f"Note: {note}", highlight=False, markup=False)
     console.print(f"{out}: {len(mesh.faces):,} faces by {chosen.label} at {mesh.resolution}³ in "
                   f"{mesh.seconds:.1f} s, {mesh.region}", highlight=False, markup=False, soft_wrap=True)
     return mesh

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -14,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ocnf_data.files.storage import Store
 from ocnf_model.training.train_state import EpochRow
+from ocnf_model.training.validation import Validation, region_scalars
 
 CURVES = "curves.csv"
 
@@ -40,6 +42,7 @@ class Reporter:
         self._progress = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                                   TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=console,
                                   disable=not (active and console.is_terminal))
+        self._stepped: float | None = None  # when the last step was done
         self._task = self._progress.add_task(self._name, total=None, note="")
 
     def __enter__(self) -> Reporter:
@@ -53,6 +56,7 @@ class Reporter:
 
     def begin(self, what: str, total: int, done: int = 0) -> None:
         """A new bar."""
+        self._stepped = None  # what lies between is no part of a step
         self._progress.reset(self._task, total=total, completed=done, note="",
                              description=f"{self._name}, {what}")
 
@@ -62,23 +66,34 @@ class Reporter:
         if note:
             self._progress.update(self._task, note=note)
 
-    def step(self, steps: int, loss: float) -> None:
-        """A step of the optimiser."""
+    def step(self, steps: int, loss: float, learning_rate: float) -> None:
+        """A step of the optimiser, done with a learning rate; the time since the one before is shown too."""
+        now = time.monotonic()
         if self._writer is not None:
             self._writer.add_scalar(f"{self._prefix}/train_loss", loss, steps)
+            self._writer.add_scalar(f"{self._prefix}/learning_rate", learning_rate, steps)
+            if self._stepped is not None:
+                self._writer.add_scalar(f"{self._prefix}/step_seconds", now - self._stepped, steps)
+        self._stepped = now
 
-    def epoch(self, rows: Sequence[EpochRow]) -> None:
-        """The end of an epoch; `rows` are all of the run, this one last."""
+    def epoch(self, rows: Sequence[EpochRow], validation: Validation) -> None:
+        """The end of an epoch; `rows` are all of the run, this one last, of which `validation` tells more."""
         if not self._active:
             return
         row = rows[-1]
         if self._writer is not None:
-            for name in ("val_mad", "val_iou"):
+            for name in ("val_mad", "val_iou", "val_f_score"):
                 self._writer.add_scalar(f"{self._prefix}/{name}", getattr(row, name), row.steps)
+            for name, value in region_scalars(validation.regions):
+                self._writer.add_scalar(f"{self._prefix}/val_mad_by_region/{name}", value, row.steps)
+            if validation.picture is not None:
+                self._writer.add_image(f"{self._prefix}/input, reconstruction, truth", validation.picture,
+                                       row.steps, dataformats="HWC")
             self._writer.flush()
         write_curves(self._folder, rows)
         self._console.print(f"{self._name}, epoch {row.epoch}: loss {row.train_loss:.5f}, validation MAD "
-                            f"{row.val_mad:.4g}{self._unit}, IoU {row.val_iou:.3f}, {row.seconds:.0f} s"
+                            f"{row.val_mad:.4g}{self._unit}, IoU {row.val_iou:.3f}, surface F-score "
+                            f"{validation.f_score:.3f}, {row.seconds:.0f} s"
                             f"{', best' if row.best else ''}", highlight=False)
 
 

@@ -7,6 +7,7 @@ RUN/validation, so that every epoch is measured with the same ones; `--val` name
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,10 +16,12 @@ from rich.console import Console
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
+from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.dataset import ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
+from ocnf_data.loading.mixture import MixtureDataset
 from ocnf_data.shards import load_dataset
-from ocnf_model.training.settings import TrainSettings
+from ocnf_model.training.settings import MixturePart, TrainSettings
 
 if TYPE_CHECKING:
     from ocnf_data.synthesis.sources import Sources
@@ -64,13 +67,14 @@ class StoredData:
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
         """Everything is there."""
 
-    def training(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
-        """The training split."""
-        return ShardDataset(
+    def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """The training split, all of it in every epoch or as many samples as the settings say."""
+        dataset = ShardDataset(
             self.where, settings.train_split, settings.up_to(level, self.manifest), settings.encoding,
             variant=settings.variant, categories=settings.categories, seed=settings.seed,
             on_error=settings.on_error, batch_size=settings.stage(level).batch_size,
             augment=settings.augment, buffer=settings.shuffle_buffer)
+        return dataset if settings.samples_per_epoch is None else _mix([(dataset, 1.0)], settings, level)
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation split."""
@@ -125,23 +129,52 @@ class DrawnData:
         return SynthesisDataset(
             self._sources, settings.up_to(level, self.manifest), settings.encoding,
             split=settings.train_split, categories=settings.categories, seed=settings.seed,
-            batch_size=settings.stage(level).batch_size, augment=settings.augment, cache=folder / CACHE)
+            batch_size=settings.stage(level).batch_size, augment=settings.augment, cache=folder / CACHE,
+            samples_per_epoch=settings.samples_per_epoch)
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation set, in the one variant that the settings name or the manifest names first."""
-        if self._val is None and settings.variant is None:
-            fitting = [entry["name"] for entry in self.manifest["inputs"]
-                       if settings.encoding in map(Encoding, entry["encodings"])]
-            if not fitting:
-                raise OcnfError("no input of the manifest has the encoding to validate with", code="missing",
-                                where=self.where, field="inputs", expected=str(settings.encoding))
-            settings = settings.model_copy(update={"variant": fitting[0]})
+        if self._val is None:
+            settings = with_variant(settings, self.manifest, self.where)
         return open_validation(self._val or str(folder / VALIDATION), settings, level, self.manifest)
+
+
+class MixedData:
+    """Several data sets and manifests, drawn from by weight.
+
+    Args:
+        base: what is validated with, and whose manifest says what values mean.
+        parts: each with its weight and the variant of its inputs.
+    """
+
+    def __init__(self, base: DataSource, parts: Sequence[tuple[DataSource, MixturePart]]) -> None:
+        self._base, self._parts = base, parts
+        self.where, self.manifest = base.where, base.manifest
+
+    def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
+        """What is validated with."""
+        self._base.prepare(folder, settings, console)
+
+    def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """Samples of all parts."""
+        from ocnf_data.synthesis.dataset import SynthesisDataset
+
+        mixed = []
+        for source, part in self._parts:
+            own = settings.model_copy(update={"variant": part.variant, "samples_per_epoch": None})
+            dataset = source.training(folder, own, level)
+            assert isinstance(dataset, ShardDataset | SynthesisDataset)
+            mixed.append((dataset, part.weight))
+        return _mix(mixed, settings, level)
+
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
+        """The base's, in the variant that the settings name or its manifest names first."""
+        return self._base.validation(folder, with_variant(settings, self.manifest, self.where), level)
 
 
 def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
               val: str | None = None) -> DataSource:
-    """A manifest's or a data set's samples, by the name's ending.
+    """A manifest's or a data set's samples, by the name's ending, or those of the settings' mixture.
 
     Args:
         data: path of a manifest (.yaml, .yml, .json), else folder or URL of a data set.
@@ -149,12 +182,54 @@ def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
         meshes: the folder that a manifest's mesh paths are relative to.
         val: a data set to validate with.
     """
-    if Path(data).suffix.lower() in _MANIFESTS:
+    if settings.mixture is not None:
+        if settings.samples_per_epoch is None:
+            raise OcnfError("a mixture has no end, so the settings have to say how long an epoch is",
+                            where="the settings", field="samples_per_epoch", expected="a number of samples")
+        alone = settings.model_copy(update={"mixture": None, "samples_per_epoch": None})
+        base = open_data(data, alone, meshes if is_manifest(data) else None, val)
+        parts = [(base if part.data is None else _open_part(part, alone, meshes), part)
+                 for part in settings.mixture]
+        return MixedData(base, parts)
+    if is_manifest(data):
         return DrawnData(data, meshes, val, settings.train_split, settings.categories)
     if meshes is not None:
         raise OcnfError("a data set on disk needs no meshes", where="the command line", field="--meshes",
                         found=meshes, fix="name a manifest (.yaml) to draw from, or leave --meshes out")
     return StoredData(data, val)
+
+
+def is_manifest(data: str) -> bool:
+    """Whether it is the path of a manifest, not a data set."""
+    return Path(data).suffix.lower() in _MANIFESTS
+
+
+def _open_part(part: MixturePart, settings: TrainSettings, meshes: Path | None) -> DataSource:
+    assert part.data is not None
+    root = meshes if part.meshes is None else Path(part.meshes)
+    return open_data(part.data, settings, root if is_manifest(part.data) else None)
+
+
+def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int) -> EpochDataset:
+    assert settings.samples_per_epoch is not None
+    return MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
+                          batch_size=settings.stage(level).batch_size, on_error=settings.on_error,
+                          augment=settings.augment)
+
+
+def with_variant(settings: TrainSettings, manifest: Mapping[str, Any], where: str) -> TrainSettings:
+    """The settings; where they name no variant, with the first of the manifest's that has the encoding.
+
+    Raises:
+        OcnfError: none has.
+    """
+    if settings.variant is not None:
+        return settings
+    for entry in manifest["inputs"]:
+        if settings.encoding in map(Encoding, entry["encodings"]):
+            return settings.model_copy(update={"variant": entry["name"]})
+    raise OcnfError("no input has the encoding to validate with", code="missing", where=where, field="inputs",
+                    expected=str(settings.encoding))
 
 
 def open_validation(url: str, settings: TrainSettings, level: int, manifest: dict[str, Any]) -> ShardDataset:
@@ -169,10 +244,5 @@ def checked_validation(val: str | None, manifest: dict[str, Any], where: str) ->
     """The data set to validate with, if its values mean what those to train on do."""
     if val is None:
         return None
-    other = load_dataset(val).manifest
-    for field in ("truncation_voxels", "target"):
-        if other.get(field) != manifest.get(field):
-            raise OcnfError("the data set to validate with does not go with the one to train on", where=val,
-                            field=field, found=other.get(field),
-                            expected=f"{manifest.get(field)}, as in {where}")
+    check_meaning(val, load_dataset(val).manifest, where, manifest)
     return val

@@ -1,8 +1,8 @@
 """Training a network stage by stage, resumable at any moment (SEMANTICS 5).
 
-    RUN/settings.json          all settings, resolved, and what they were resolved against
-    RUN/state.safetensors      where the run is (see `training.state`)
-    RUN/level-1.safetensors    best checkpoint of each level, by validation MAD (see `checkpoint`)
+    RUN/settings.json          all settings, resolved, what they were resolved against, and epochs added since
+    RUN/state.safetensors      where the run is (see `training.train_state`)
+    RUN/level-1.safetensors    best checkpoint of each level, by `best_by` of the settings (see `checkpoint`)
     RUN/curves.csv             a line an epoch
     RUN/tensorboard/           the curves by step
     RUN/validation/            the data set that a manifest's validation split was made into
@@ -31,19 +31,21 @@ from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import VALIDATION, DataSource, StoredData, open_data
+from ocnf_model.training.extend import extend, raised_epochs
 from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.train_state import TrainState, load_state, save_state
+from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 SETTINGS = "settings.json"
 _SCHEMA = 1
+_MAX_SETTINGS = 16 * 2**20  # bytes
 
 
 def train(data: str | Path, out: str | Path, settings: TrainSettings | None = None, *, device: str = "auto",
           console: Console | None = None, meshes: str | Path | None = None,
           val: str | Path | None = None) -> OctNetFusion:
-    """Train all levels, or go on where an earlier call with the same arguments stopped.
+    """Train all levels, or go on where an earlier call with the same arguments, or fewer epochs, stopped.
 
     Under `torchrun` all processes train together, each with batches of `batch_size`.
 
@@ -76,8 +78,7 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
         world.wait()
         for level in range(settings.levels):  # whatever is missing is said before hours of training
             variant = source.validation(folder, settings, level).variant
-        if isinstance(source, StoredData):
-            variant = source.training(folder, settings, settings.levels - 1).variant
+        source.training(folder, settings, settings.levels - 1)
         settings = asked.resolved(source.manifest, variant, data)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
@@ -102,6 +103,8 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World
     network = Architecture.of(settings).network(settings.levels, settings.checkpointing).to(world.device)
     training_data = _training_data(source, folder, settings)
     state, tensors = load_state(folder)
+    check_progress(folder, state, [settings.stage(level).epochs for level in range(settings.levels)],
+                   settings.resolutions)
     if world.is_main and state.rows:
         write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
@@ -116,9 +119,10 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World
                     Reporter(folder, level + 1, settings.resolutions[level], state.steps, unit,
                              world.is_main, console) as report:
                 Trainer(job, state, tensors, report).run()
-            state, tensors = TrainState(level=level + 1, rows=state.rows), {}
-            if world.is_main:
-                save_state(folder, state)
+            if level + 1 < settings.levels:  # the last one's state stays: it may be given more epochs
+                state, tensors = TrainState(level=level + 1, rows=state.rows), {}
+                if world.is_main:
+                    save_state(folder, state)
             world.wait()
         load_level(folder, network, level)
     return network.eval()
@@ -143,7 +147,8 @@ def _begin(folder: Path, settings: TrainSettings, training_data: TrainingData) -
         store.put_bytes(SETTINGS, canonical_json(fields, indent=2))
         return
     before, began_with = read_run_settings(folder)
-    if found := setting_difference(settings, before):
+    raised = raised_epochs(settings, before)
+    if not raised and (found := setting_difference(settings, before)):
         field, ours, theirs = found
         raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
                         found=ours, expected=theirs, fix="pass the same settings, or name a new folder")
@@ -152,6 +157,8 @@ def _begin(folder: Path, settings: TrainSettings, training_data: TrainingData) -
                         found=f"{training_data.name} {training_data.checksum[:12]}",
                         expected=f"{began_with.name} {began_with.checksum[:12]}",
                         fix="pass the same data set, or name a new folder")
+    if raised:
+        extend(folder, SETTINGS, settings, raised, load_state(folder)[0])
 
 
 def _refuse_strangers(store: Store) -> None:
@@ -173,7 +180,7 @@ def read_run_settings(folder: Path) -> tuple[TrainSettings, TrainingData]:
     """
     where = Store(folder).where(SETTINGS)
     try:
-        fields = json.loads(Store(folder).read_bytes(SETTINGS))
+        fields = json.loads(Store(folder).read_at_most(SETTINGS, _MAX_SETTINGS))
     except (ValueError, RecursionError) as error:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
@@ -21,7 +21,9 @@ from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, refused, validate
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
-from ocnf_model.network import Carry, Join, Output
+from ocnf_model.checkpoint import MAX_CHANNELS, Channels
+from ocnf_model.network import Carry, Join, Normaliser, Output
+from ocnf_model.training.choice import BestBy
 
 
 class Precision(StrEnum):
@@ -57,6 +59,9 @@ class Stage(Strict):
     """How the learning rate goes on."""
     weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
     """L2 penalty: this times the weights is added to the gradient."""
+    crop: Annotated[Int, Field(ge=64, multiple_of=32)] | None = None
+    """Voxels along each axis of the box around the surface that a sample is trained on, in multiples of 32;
+    None for the whole grid (the paper). Validation takes the whole grid."""
 
     def rate(self, done: int, steps: int) -> float:
         """The learning rate of a step.
@@ -68,6 +73,19 @@ class Stage(Strict):
         if self.decay is Decay.NONE:
             return self.learning_rate
         return self.learning_rate * (1 + math.cos(math.pi * done / steps)) / 2
+
+
+class MixturePart(Strict):
+    """One of several data sets that are trained on together."""
+
+    data: str | None = None
+    """A data set or a manifest; None for the one that is validated with."""
+    meshes: str | None = None
+    """With a manifest: the folder that its mesh paths are relative to; None for the command line's."""
+    variant: str | None = None
+    """Name of the inputs in a data set; None for the only one that has the encoding."""
+    weight: Annotated[Real, Field(gt=0, le=1e6)] = 1.0
+    """How often samples are drawn from it, relative to the other parts."""
 
 
 class TrainSettings(Strict):
@@ -82,6 +100,11 @@ class TrainSettings(Strict):
     """Of the inputs; the data set has to hold it."""
     variant: str | None = None
     """Name of the inputs in the manifest; None for the only one that has the encoding."""
+    mixture: Annotated[tuple[MixturePart, ...], NotEmpty] | None = None
+    """Data sets, variants of one, and manifests to train on, each sample from one of them by chance; None for
+    the data set alone. Needs `samples_per_epoch`."""
+    samples_per_epoch: Positive | None = None
+    """How many samples make an epoch; None for all of the data set's, or what the manifest says."""
     categories: tuple[str, ...] | None = None
     """Train and validate on these categories only; None for all of them."""
     train_split: str = "train"
@@ -94,15 +117,17 @@ class TrainSettings(Strict):
     """What a level hands to the next one."""
     output: Output | None = None
     """What is reconstructed; None for the data set's target."""
-    channels: tuple[Positive, Positive, Positive] = (16, 32, 64)
+    channels: tuple[Channels, Channels, Channels] = (16, 32, 64)
     """Features at the level's resolution, at half and at a quarter of it."""
     band: Annotated[Real, Field(gt=0)] = 1.0
     """How far from the reconstructed surface the next level's cells are split, in its voxels."""
-    context: Annotated[Int, Field(ge=0)] = 0
+    context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     """Width of the first level's dense encoder-decoder that sees the whole volume, a multiple of 16;
     0 for none (the paper)."""
     residual: bool = False
     """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
+    normalise: Normaliser = Normaliser.NONE
+    """What comes between a convolution and its ReLU."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """One for each level; the last one holds for all that follow."""
@@ -120,8 +145,17 @@ class TrainSettings(Strict):
     """Keep fewer activations for the backward pass, and compute them again."""
     workers: Annotated[Int, Field(ge=0)] = 1
     """Processes that read and decode, for each training process; 0 reads in the training process."""
+    best_by: BestBy = BestBy.MAD_AND_F_SCORE
+    """Which epoch's weights are a level's best checkpoint, and what the next level is trained on."""
     save_every: Positive = 50
     """Steps of the optimiser between two saved states, apart from those at the ends of epochs."""
+
+    @model_validator(mode="after")
+    def _context_sees_everything(self) -> TrainSettings:
+        if self.context and self.stage(0).crop is not None:
+            raise refused("the first level's context needs the whole grid", at="stages[0].crop",
+                          found=self.stage(0).crop, expected="null, or context: 0")
+        return self
 
     @field_validator("resolutions")
     @classmethod
@@ -166,12 +200,17 @@ class TrainSettings(Strict):
         return read_settings(filled, where)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values of all fields."""
-        return self.model_dump(mode="json")
+        """JSON values of all fields. Those of mixtures are left out where there is none, as in older runs."""
+        fields = self.model_dump(mode="json")
+        return {name: value for name, value in fields.items()
+                if value is not None or name not in ("mixture", "samples_per_epoch")}
 
     def decisive(self) -> dict[str, Any]:
-        """JSON values of the fields that the weights depend on."""
-        return {name: value for name, value in self.to_dict().items() if name not in FREE_TO_CHANGE}
+        """Values of the fields that the weights depend on. Where a mixture's parts lie is none of them."""
+        fields = {name: value for name, value in self.to_dict().items() if name not in FREE_TO_CHANGE}
+        if self.mixture is not None:
+            fields["mixture"] = [{"variant": part.variant, "weight": part.weight} for part in self.mixture]
+        return fields
 
 
 FREE_TO_CHANGE = frozenset({"checkpointing", "workers", "save_every"})
@@ -187,7 +226,8 @@ def _difference(ours: Any, theirs: Any, at: str) -> tuple[str, Any, Any] | None:
     if ours == theirs:
         return None
     if isinstance(ours, dict):
-        found = (_difference(ours[name], theirs[name], f"{at}.{name}" if at else name) for name in ours)
+        found = (_difference(ours.get(name), theirs.get(name), f"{at}.{name}" if at else name)
+                 for name in {**ours, **theirs})
     elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
         found = (_difference(a, b, f"{at}[{i}]") for i, (a, b) in enumerate(zip(ours, theirs, strict=True)))
     else:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numba
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
+from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.checkpoint import (
     Architecture,
     Header,
@@ -24,12 +27,14 @@ from ocnf_model.checkpoint import (
     torch_version,
 )
 from ocnf_model.losses import bce_loss, l1_loss
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.batches import Example, make_example
+from ocnf_model.training.choice import is_better
+from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
 from ocnf_model.training.settings import Precision, TrainSettings
-from ocnf_model.training.train_state import EpochRow, TrainState, restore, save_state
+from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
+from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
 LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
@@ -77,6 +82,8 @@ class Trainer:
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
+        check_step(job.folder, state, len(job.training), self._stage.accumulate,
+                   exact=job.settings.on_error is OnError.RAISE)
         restore(tensors, self._level, self._optimiser)
         if state.loader is not None:
             job.training.load_state_dict(state.loader)
@@ -95,8 +102,8 @@ class Trainer:
             if state.step < len(self._job.training):
                 self._train(loader)
             self._save()
-            mad, iou = self._validate(validation)
-            self._finish_epoch(mad, iou, time.monotonic() - began)
+            found = self._validate(validation)
+            self._finish_epoch(found, time.monotonic() - began)
 
     # ---- training
 
@@ -104,6 +111,7 @@ class Trainer:
         state, n_batches = self._state, len(self._job.training)
         self._job.training.set_epoch(state.epoch)
         self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
+        self._job.network.eval()  # the levels before: their normalisation stays as it was trained
         self._level.train()
         met: list[tuple[Batch, Tensor]] = []
         for batch in loader:
@@ -116,7 +124,7 @@ class Trainer:
             met.clear()
             state.loader = self._job.training.state_dict(batch)
             self._report.advance(f"loss {loss:.5f}")
-            self._report.step(state.steps, loss)
+            self._report.step(state.steps, loss, self._optimiser.param_groups[0]["lr"])
             if state.steps % self._job.settings.save_every == 0 and state.step < n_batches:
                 self._save()
 
@@ -125,9 +133,19 @@ class Trainer:
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        losses = LOSSES[self._job.network.output](self._forward(example).raw, example.target, "none")
+        loss = LOSSES[self._job.network.output]
+        if self._stage.crop is None:
+            losses = loss(self._forward(example).raw, example.target, "none")
+        else:
+            losses = self._crop_losses(example, batch, self._stage.crop // TREE_WIDTH, loss)
         (losses.mean() / group).backward()
         return losses.detach()
+
+    def _crop_losses(self, example: Example, batch: Batch, size: int, loss: Callable[..., Tensor]) -> Tensor:
+        corners = draw_corners(example.target.structure, size, self._job.settings.seed, batch.epoch,
+                               batch.keys)
+        with self._precision():
+            return crop_losses(self._job.network, example, self._state.level, corners, size, loss)
 
     def _update(self, met: list[tuple[Batch, Tensor]]) -> float:
         """A step of the optimiser over some batches; their mean loss over all ranks."""
@@ -143,6 +161,7 @@ class Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = self._stage.rate(self._state.steps, self._n_steps)
         self._optimiser.step()
+        self._job.world.average(self._level.buffers())
         self._optimiser.zero_grad()
         self._state.steps += 1
         first = [not again for batch, _ in met for again in batch.repeat]
@@ -164,45 +183,38 @@ class Trainer:
     # ---- validation
 
     @torch.no_grad()
-    def _validate(self, loader: DataLoader[Batch]) -> tuple[float, float]:
-        """Mean MAD and IoU over the validation samples of all ranks."""
+    def _validate(self, loader: DataLoader[Batch]) -> Validation:
+        """Means over the validation samples of all ranks."""
         job = self._job
-        is_tsdf = job.network.output is Output.TSDF
-        # With tau = 1 mm the difference of probabilities stays as it is.
-        tau = job.facts.tau(self._resolution) if is_tsdf else 1e-3
-        overlap = tsdf_overlap if is_tsdf else occupancy_overlap
+        validator = Validator(job.network.output, job.network.encoding, job.facts.tau(self._resolution))
         self._report.begin("validation", len(job.validation))
         self._level.eval()
-        sums = [0.0, 0.0, 0.0]
         job.validation.set_epoch(0)
         for batch in loader:
             if not len(batch):
                 continue
             example = self._example(batch)
-            prediction = self._forward(example).reconstruction.to(dtype=torch.float32)
-            mads = mad_mm(prediction, example.target, tau)
-            sums[0] += float(mads.sum())
-            sums[1] += float(overlap(prediction, example.target).iou.sum())
-            sums[2] += len(mads)
+            validator.add(self._forward(example).reconstruction.to(dtype=torch.float32), example)
             self._report.advance()
-        mad, iou, count = job.world.sum(sums)
-        if not count:
+        found = validator.means(job.world.sum)
+        if found is None:
             raise OcnfError("no validation sample could be read", code="empty", where=job.folder)
-        return mad / count, iou / count
+        return found
 
-    def _finish_epoch(self, mad: float, iou: float, seconds: float) -> None:
-        state, best = self._state, self._state.best
+    def _finish_epoch(self, found: Validation, seconds: float) -> None:
+        state = self._state
         row = EpochRow(
             level=state.level + 1, epoch=state.epoch + 1, resolution=self._resolution, steps=state.steps,
-            train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=mad, val_iou=iou,
-            seconds=round(seconds, 3), best=best is None or mad < best.val_mad)
+            train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=found.mad, val_iou=found.iou,
+            seconds=round(seconds, 3), best=False, val_f_score=found.f_score)
+        row = replace(row, best=is_better(row, state.best, self._job.settings.best_by))
         if row.best and self._job.world.is_main:
             save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
         state.rows.append(row)
         state.epoch, state.step = state.epoch + 1, 0
         state.loss_sum = state.loss_count = 0.0
         self._save()
-        self._report.epoch(state.rows)
+        self._report.epoch(state.rows, found)
 
     def _header(self, row: EpochRow) -> Header:
         job, network = self._job, self._job.network
@@ -211,7 +223,7 @@ class Trainer:
             architecture=Architecture.of(network),
             data=job.facts, epoch=row.epoch, steps=row.steps,
             metrics={"mad_mm" if network.output is Output.TSDF else "mad": row.val_mad, "iou": row.val_iou,
-                     "train_loss": row.train_loss},
+                     "f_score": row.val_f_score or 0.0, "train_loss": row.train_loss},
             settings=job.settings.decisive(),
             built_on=checkpoint_sha256(job.folder, row.level - 1) if row.level > 1 else None,
             torch=torch_version(),
@@ -228,9 +240,12 @@ class Trainer:
         return make_example(batch, self._job.network.output, self._job.target, self._job.world.device)
 
     def _forward(self, example: Example) -> LevelOutput:
-        low = self._job.settings.precision is Precision.BFLOAT16
-        with torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low):
+        with self._precision():
             return self._job.network.run(example.inputs, frozen=self._state.level)[-1]
+
+    def _precision(self) -> torch.autocast:
+        low = self._job.settings.precision is Precision.BFLOAT16
+        return torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low)
 
     def _save(self) -> None:
         if self._job.world.is_main:
@@ -244,4 +259,9 @@ def _is_finite(value: float) -> bool:
 def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
-                      pin_memory=job.world.device.type == "cuda")
+                      pin_memory=job.world.device.type == "cuda", worker_init_fn=use_one_thread)
+
+
+def use_one_thread(_: int) -> None:
+    """In a loader's worker: the cores are for the training process. (PyTorch does the same for its own.)"""
+    numba.set_num_threads(1)

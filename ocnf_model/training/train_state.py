@@ -9,20 +9,25 @@ between two states does the steps after the first of them again, with the same r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.tensorfile import read_tensors, write_tensors
+from ocnf_data.files.validation import Int, Real, Strict, validate
+from ocnf_model.checkpoint import MAX_COUNT
+from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 
 STATE: Final = "state.safetensors"
 _SCHEMA: Final = 1
 _WEIGHTS, _ADAM, _RANDOM = "weights.", "adam.", "random."
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+_ANEW = "put a good copy in its place, or move the run's folder away and begin anew"
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,8 @@ class EpochRow:
         val_mad: millimetres, or for occupancy the mean difference of probabilities.
         val_iou: mean over the validation samples.
         seconds: training and validation, since the last start where it was resumed.
-        best: whether it is the level's best so far, by val_mad.
+        best: whether it is the level's best so far, by the measure of the settings.
+        val_f_score: of the surface at one voxel; None of a version that did not measure it.
     """
 
     level: int
@@ -49,6 +55,7 @@ class EpochRow:
     val_iou: float
     seconds: float
     best: bool
+    val_f_score: float | None = None
 
 
 @dataclass
@@ -56,7 +63,7 @@ class TrainState:
     """Where a run is.
 
     Attributes:
-        level: from 0; the number of levels when all is done.
+        level: from 0; when all is done it is the last one, whose epochs are all done.
         epoch: from 0.
         step: batches of the epoch that are done.
         steps: of the optimiser, in this level.
@@ -78,6 +85,37 @@ class TrainState:
     def best(self) -> EpochRow | None:
         """The best epoch of this level so far."""
         return next((row for row in reversed(self.rows) if row.level == self.level + 1 and row.best), None)
+
+
+_Count = Annotated[Int, Field(ge=0, le=MAX_COUNT)]
+_Positive = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
+_Total = Annotated[Real, Field(ge=0)]
+
+
+class _Row(Strict):
+    level: _Positive
+    epoch: _Positive
+    resolution: _Positive
+    steps: _Positive
+    train_loss: _Total
+    val_mad: _Total
+    val_iou: Annotated[Real, Field(ge=0, le=1)]
+    seconds: _Total
+    best: Annotated[bool, Field(strict=True)]
+
+
+class _Header(Strict):
+    """The fields of a `TrainState` as the file has them."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    level: _Count
+    epoch: _Count
+    step: _Count
+    steps: _Count
+    loss_sum: _Total
+    loss_count: _Total
+    loader: dict[str, Any] | None
+    rows: tuple[_Row, ...]
 
 
 def save_state(folder: Path, state: TrainState, level: nn.Module | None = None,
@@ -102,14 +140,70 @@ def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
     if not path.is_file():
         return TrainState(), {}
     tensors, fields = read_tensors(path)
-    if fields.pop("schema", None) != _SCHEMA:
+    if fields.get("schema") != _SCHEMA:
         raise OcnfError("the run was begun by another version", code="schema", where=path,
                         fix="finish it with that version, or begin a new run")
-    try:
-        state = TrainState(**{**fields, "rows": [EpochRow(**row) for row in fields["rows"]]})
-    except (KeyError, TypeError) as error:
-        raise OcnfError("not a state of a run", code="damaged", where=path, found=error) from error
-    return state, tensors
+    header = validate(_Header, fields, path).model_dump(exclude={"schema_version", "rows"})
+    return TrainState(**header, rows=[EpochRow(**row) for row in fields["rows"]]), tensors
+
+
+def check_progress(folder: Path, state: TrainState, epochs: Sequence[int],
+                   resolutions: Sequence[int]) -> None:
+    """Refuse a state that no run of these settings comes to.
+
+    Args:
+        folder: of the run.
+        state: of the run.
+        epochs: of each level, by the settings.
+        resolutions: of each level.
+
+    Raises:
+        OcnfError: code `damaged`, with the field.
+    """
+    def refuse(field_name: str, found: object, expected: object) -> OcnfError:
+        return OcnfError("the state is of no run with these settings", code="damaged", where=folder / STATE,
+                         field=field_name, found=found, expected=expected, fix=_ANEW)
+
+    if state.level > len(epochs):
+        raise refuse("level", state.level, f"at most {len(epochs)}")
+    most = epochs[state.level] if state.level < len(epochs) else 0
+    if state.epoch > most:
+        raise refuse("epoch", state.epoch, f"at most {most}")
+    done = [*epochs[:state.level], state.epoch]
+    expected = [(level, epoch) for level, n in enumerate(done, 1) for epoch in range(1, n + 1)]
+    if (found := [(row.level, row.epoch) for row in state.rows]) != expected:
+        raise refuse("rows", f"{len(found)} epochs", f"those of {len(expected)}, in order")
+    for row in state.rows:
+        if row.resolution != resolutions[row.level - 1]:
+            raise refuse("rows.resolution", row.resolution, resolutions[row.level - 1])
+
+
+def check_step(folder: Path, state: TrainState, n_batches: int, accumulate: int, exact: bool) -> None:
+    """Refuse a step within the epoch that does not fit the data set, the optimiser's count or the loader.
+
+    Args:
+        folder: of the run.
+        state: of the run.
+        n_batches: of an epoch.
+        accumulate: batches for a step of the optimiser.
+        exact: no batch may have been left out, so the optimiser's count is known.
+
+    Raises:
+        OcnfError: code `damaged`, with the field.
+    """
+    steps = state.epoch * -(-n_batches // accumulate) + -(-state.step // accumulate)
+    at = state.epoch * n_batches + state.step
+    # The end of an epoch is the beginning of the next.
+    same = {divmod(at, n_batches), ((at - 1) // n_batches, (at - 1) % n_batches + 1)}
+    loader = (0, 0) if state.loader is None else (state.loader.get("epoch"), state.loader.get("step"))
+    for field_name, fits, found, expected in (
+        ("step", state.step <= n_batches, state.step, f"at most {n_batches}"),
+        ("steps", state.steps == steps if exact else state.steps <= steps, state.steps, steps),
+        ("loader", loader in same, loader, f"epoch {state.epoch}, step {state.step}"),
+    ):
+        if not fits:
+            raise OcnfError("the state does not fit the data set or the settings", code="damaged",
+                            where=folder / STATE, field=field_name, found=found, expected=expected, fix=_ANEW)
 
 
 def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.optim.Optimizer) -> None:
@@ -121,12 +215,9 @@ def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.op
     weights = _below(tensors, _WEIGHTS)
     if not weights:
         return
-    try:
-        level.load_state_dict(weights)
-        torch.set_rng_state(tensors[_RANDOM + "cpu"])
-    except (RuntimeError, KeyError) as error:
-        raise OcnfError("the state does not fit the network", code="damaged", where=STATE,
-                        found=str(error).splitlines()[0]) from error
+    _check_tensors(tensors, level)
+    level.load_state_dict(weights)
+    torch.set_rng_state(tensors[_RANDOM + "cpu"])
     moments = _below(tensors, _ADAM)
     for name, parameter in level.named_parameters():
         kept = {key.partition(".")[0]: tensor for key, tensor in moments.items()
@@ -134,6 +225,26 @@ def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.op
         if kept:  # Adam counts its steps on the CPU
             optimiser.state[parameter] = {moment: tensor if moment == "step" else tensor.to(parameter.device)
                                           for moment, tensor in kept.items()}
+
+
+def _check_tensors(tensors: Mapping[str, Tensor], level: nn.Module) -> None:
+    """Refuse tensors other than the weights, their moments once there was a step, and the random state."""
+    expected = {_WEIGHTS + name: TensorKind.of(tensor) for name, tensor in level.state_dict().items()}
+    if any(name.startswith(_ADAM) for name in tensors):  # none before the first step
+        for name, parameter in level.named_parameters():
+            expected |= {f"{_ADAM}{moment}.{name}": TensorKind.of(parameter) for moment in _MOMENTS}
+            expected[f"{_ADAM}step.{name}"] = TensorKind("F32", ())
+    expected[_RANDOM + "cpu"] = TensorKind.of(torch.get_rng_state())
+    found = {name: TensorKind.of(tensor) for name, tensor in tensors.items()}
+    for name in sorted(expected.keys() | found.keys()):
+        if found.get(name) != expected.get(name):
+            raise OcnfError("the state does not fit the network", code="damaged", where=STATE, field=name,
+                            found=_described(found.get(name)), expected=_described(expected.get(name)),
+                            fix=_ANEW)
+
+
+def _described(kind: TensorKind | None) -> str:
+    return "nothing" if kind is None else f"{kind.dtype} {kind.shape}"
 
 
 def _below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

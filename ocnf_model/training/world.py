@@ -11,7 +11,7 @@ do what one does with batches of 2 b: the loader deals the samples of such a bat
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -37,14 +37,18 @@ class World:
 
     def average_gradients(self, parameters: Sequence[Tensor]) -> None:
         """Replace the gradients by their means over the ranks."""
-        if self.size == 1:
+        self.average(parameter.grad for parameter in parameters if parameter.grad is not None)
+
+    def average(self, tensors: Iterable[Tensor]) -> None:
+        """Replace floating point tensors by their means over the ranks; others are left as they are."""
+        ours = [tensor for tensor in tensors if tensor.is_floating_point()]
+        if self.size == 1 or not ours:
             return
-        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-        flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        flat = torch.cat([tensor.reshape(-1) for tensor in ours])
         dist.all_reduce(flat)
         flat /= self.size
-        for gradient, mean in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
-            gradient.copy_(mean.view_as(gradient))
+        for tensor, mean in zip(ours, flat.split([tensor.numel() for tensor in ours]), strict=True):
+            tensor.copy_(mean.view_as(tensor))
 
     def sum(self, values: Sequence[float]) -> list[float]:
         """Sums over the ranks, in float64."""

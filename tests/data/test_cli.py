@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -61,7 +63,7 @@ def test_help_names_every_command() -> None:
     """As a process of its own: this is how it is called, and it must not need what only commands need."""
     command = [sys.executable, "-m", "ocnf_data", "--help"]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
-    for name in ("generate", "verify", "info", "repair", "doctor", "watertight"):
+    for name in ("generate", "verify", "info", "repair", "export", "doctor", "watertight"):
         assert name in result.stdout
     assert "--retry-failed" in ocnf("generate", "--help").out
 
@@ -182,3 +184,97 @@ def test_repair_sets_nothing_aside_that_it_cannot_make_again(tmp_path) -> None:
     assert shard.read_bytes() == whole[:-1]
     assert ocnf("repair", out, "--jobs", 1, "--meshes", tmp_path / "meshes").status == 0
     assert shard.read_bytes() == whole
+
+
+@pytest.fixture
+def copied(made, tmp_path) -> Path:
+    """A finished data set to be damaged."""
+    out = tmp_path / "set"
+    shutil.copytree(made[1], out, ignore=shutil.ignore_patterns("quarantine"))
+    return out
+
+
+def no_plan(out: Path) -> str:
+    (out / "plan.json").unlink()
+    return "plan.json"
+
+
+def piped_failures(out: Path) -> str:
+    (out / "failures.jsonl").unlink()
+    os.mkfifo(out / "failures.jsonl")
+    return "failures.jsonl"
+
+
+def strange_shard(out: Path) -> str:
+    shutil.copy(out / "train/shard-000000.tar", out / "train/shard-000099.tar")
+    return "train/shard-000099.tar"
+
+
+@pytest.mark.parametrize("damage", [no_plan, piped_failures, strange_shard])
+def test_repair_names_what_it_cannot_mend(damage, copied) -> None:
+    name = damage(copied)
+    assert ocnf("verify", copied, "--jobs", 1).status == 1
+    result = ocnf("repair", copied, "--jobs", 1)
+    assert result.status == 1
+    assert f"cannot be repaired: {name}: " in result.err
+    assert "no shard is damaged" in result.out
+
+
+def test_what_stands_in_a_shards_place_is_set_aside(copied) -> None:
+    """A folder with something in it, a pipe, a link to nowhere; and again, so that the name is taken."""
+    shard = copied / "train/shard-000001.tar"
+    whole = shard.read_bytes()
+    for number, put in enumerate((lambda: (shard.mkdir(), (shard / "mine").write_text("mine")),
+                                  lambda: os.mkfifo(shard), lambda: shard.symlink_to("nowhere"))):
+        shard.unlink()
+        put()
+        result = ocnf("repair", copied, "--jobs", 1)
+        assert result.status == 0, result.err
+        assert shard.read_bytes() == whole
+        aside = copied / "quarantine/train" / f"shard-000001.tar{f'.{number}' if number else ''}"
+        assert aside.is_symlink() or aside.exists()
+    assert (copied / "quarantine/train/shard-000001.tar/mine").read_text() == "mine"
+    assert ocnf("verify", copied, "--jobs", 1).status == 0
+
+
+@pytest.mark.parametrize("with_index", [True, False])
+def test_a_shard_of_a_terabyte_is_not_read(copied, with_index) -> None:
+    shard = copied / "train/shard-000001.tar"
+    whole = shard.read_bytes()
+    with shard.open("r+b") as file:
+        file.truncate(2**40)  # sparse
+    if not with_index:
+        shard.with_suffix(".json").unlink()
+    result = ocnf("verify", copied, "--jobs", 1)
+    assert result.status == 1 and "train/shard-000001.tar" in result.out
+    assert ocnf("repair", copied, "--jobs", 1).status == 0
+    assert shard.read_bytes() == whole
+
+
+def test_a_plan_of_a_terabyte_is_not_read(made, copied) -> None:
+    with (copied / "plan.json").open("r+b") as file:
+        file.truncate(2**40)  # sparse
+    assert "plan.json" in ocnf("verify", copied, "--jobs", 1).out
+    assert "plan.json" in ocnf("repair", copied, "--jobs", 1).err
+    (copied / "dataset.json").unlink()
+    result = ocnf("generate", made[0], "--out", copied, "--jobs", 1)
+    assert result.status == 1 and "plan.json" in result.err and "too large" in result.err
+
+def test_export(made, tmp_path) -> None:
+    """The account, what a second run keeps, and a setting that does not fit."""
+    _, out = made
+    target = tmp_path / "volumes"
+    arguments = ("export", out, "--format", "dense", "--out", target, "--jobs", 1, "--split", "train",
+                 "--limit", 2)
+    result = ocnf(*arguments)
+    assert result.status == 0, result.err
+    assert result.out.startswith("2 samples = 2 written + 0 kept + 0 failed; ")
+    assert len(list((target / "train").glob("*.npz"))) == 2
+    assert "= 0 written + 2 kept + 0 failed" in ocnf(*arguments).out
+    result = ocnf(*arguments, "--resolution", 64)
+    assert result.status == 1 and "holds an export of other settings; found 64, expected None" in result.err
+    result = ocnf(*arguments[:4], "--out", tmp_path / "none", "--jobs", 1, "--variant", "v9")
+    assert result.status == 1 and "0 written + 0 kept + 6 failed" in result.out
+    assert "error: " in result.err and "v2-tsdf" in result.err
+    result = ocnf(*arguments[:3], "obj", "--out", target)
+    assert result.status == 2 and "dense" in result.err

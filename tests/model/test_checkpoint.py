@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import pickle
+import random
+import resource
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,7 +26,7 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
 )
 from ocnf_model.network import OctNetFusion
-from ocnf_model.tensorfile import read_tensors
+from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 
 ARCHITECTURE = Architecture(encoding="tsdf", join="concat", carry="features", output="tsdf",
                             channels=(2, 3, 4), band=1.0)
@@ -52,11 +55,18 @@ def folder(tmp_path: Path) -> Path:
 
 
 def rewrite(path: Path, change) -> None:
-    """Read a checkpoint, let `change(weights, header)` alter both, and write it, with safetensors alone."""
+    """Read a checkpoint, let `change(weights, header)` alter both, and write it with a checksum that fits."""
+    weights, header = read_tensors(path)
+    change(weights, header)
+    write_tensors(path, weights, header)
+
+
+def without_checksum(path: Path) -> None:
+    """Make a checkpoint one of before there were checksums, with safetensors alone."""
     weights = safetensors.torch.load(path.read_bytes())
     with safetensors.safe_open(path, "pt") as file:
         header = json.loads(file.metadata()["ocnf"])
-    change(weights, header)
+    del header["sha256"]
     path.write_bytes(safetensors.torch.save(weights, {"ocnf": json.dumps(header)}))
 
 
@@ -84,8 +94,8 @@ def test_what_is_written_is_what_is_read(tmp_path) -> None:
     (lambda w, h: h["data"].pop("extent"), "data.extent: the field is missing"),
     (lambda w, h: w.pop("head.bias"), "head.bias: the checkpoint does not fit the network; found nothing"),
     (lambda w, h: w.update(extra=torch.zeros(1)), "extra: the checkpoint does not fit.*found there"),
-    (lambda w, h: w.update({"head.bias": torch.zeros(2)}), r"head.bias: .*float32 \(2,\).*float32 \(1,\)"),
-    (lambda w, h: w.update({"head.bias": w["head.bias"].half()}), "head.bias: .*found torch.float16"),
+    (lambda w, h: w.update({"head.bias": torch.zeros(2)}), r"head.bias: .*F32 \(2,\).*F32 \(1,\)"),
+    (lambda w, h: w.update({"head.bias": w["head.bias"].half()}), "head.bias: .*found F16"),
     (lambda w, h: w["head.bias"].fill_(float("nan")), "head.bias: weights that are not finite"),
 ])
 def test_a_checkpoint_that_is_wrong_is_refused(change, message, folder) -> None:
@@ -119,6 +129,73 @@ def test_levels_that_are_missing(folder, tmp_path) -> None:
         load_run(folder)
     with pytest.raises(OcnfError, match="no such run"):
         load_run(tmp_path / "nothing")
+
+
+def flips(blob: bytes, seed: int) -> Iterator[bytes]:
+    """The file with one bit flipped, of some bytes of its header and of some of the tensors'."""
+    chance = random.Random(seed)
+    header = 8 + int.from_bytes(blob[:8], "little")
+    for at in (*range(8), *range(8 + seed, header, 11), *range(header, len(blob), 211), len(blob) - 1):
+        yield blob[:at] + bytes([blob[at] ^ 1 << chance.randrange(8)]) + blob[at + 1:]
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_every_flipped_bit_is_found(level, folder) -> None:
+    path = folder / f"level-{level}.safetensors"
+    for damaged in flips(path.read_bytes(), level):
+        path.write_bytes(damaged)
+        with pytest.raises(OcnfError, match=f"level-{level}.safetensors"):
+            open_run(folder, levels=level)
+
+
+def test_a_checkpoint_of_before_checksums_is_read_with_a_note(folder, caplog) -> None:
+    expected = open_run(folder, levels=1).network.state_dict()
+    assert not caplog.records
+    without_checksum(folder / "level-1.safetensors")
+    loaded = open_run(folder, levels=1).network.state_dict()
+    assert all(torch.equal(tensor, expected[name]) for name, tensor in loaded.items())
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "level-1.safetensors is of a version that wrote no checksums" in caplog.text
+
+
+@pytest.mark.parametrize(("channels", "message"), [
+    ([10**9, 1, 1], r"architecture.channels\[0\]: .*found 1000000000, expected .*4096"),
+    ([1000, 1000, 2000], r"does not fit the network; found F32 .*expected F32 .*000"),
+    ([4096, 4096, 4096], "does not fit the network"),
+])
+def test_channels_are_compared_with_the_file_before_anything_is_built(channels, message, folder) -> None:
+    rewrite(folder / "level-1.safetensors", lambda w, h: h["architecture"].update(channels=channels))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(OcnfError, match=message):
+        open_run(folder, levels=1)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000, "kB"
+
+
+@pytest.mark.parametrize("changes", [{}, {"join": "add"}, {"carry": "reconstruction"},
+                                     {"output": "occupancy", "encoding": "histogram"}])
+def test_the_kinds_of_a_level_are_those_of_the_network(changes) -> None:
+    chosen = Architecture(**{**ARCHITECTURE.model_dump(), **changes})
+    for level, built in enumerate(chosen.network(3).levels):
+        assert chosen.kinds(level) == {name: TensorKind.of(t) for name, t in built.state_dict().items()}
+
+
+@pytest.mark.parametrize("change", [
+    lambda h: h.update(level=10**9), lambda h: h.update(level="1"), lambda h: h.update(resolution=10**12),
+    lambda h: h.update(epoch=10**300), lambda h: h.update(steps=1.5), lambda h: h.update(epoch=True),
+    lambda h: h.update(metrics={"mad_mm": "1"}), lambda h: h["architecture"].update(band=-1),
+    lambda h: h.update(sha256=7), lambda h: h.update(settings=[]),
+])
+def test_every_field_of_the_header_is_bounded(change, folder) -> None:
+    rewrite(folder / "level-1.safetensors", lambda w, h: change(h))
+    with pytest.raises(OcnfError, match=r"level-1\.safetensors"):
+        open_run(folder, levels=1)
+
+
+def test_a_huge_file_is_not_read(folder) -> None:
+    with (folder / "level-1.safetensors").open("r+b") as file:
+        file.truncate(2**42)  # sparse
+    with pytest.raises(OcnfError, match="too large for a checkpoint"):
+        open_run(folder)
 
 
 def test_every_truncation_is_found(folder) -> None:

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 import torch
-from torch.nn.functional import avg_pool3d, conv3d, interpolate, linear, max_pool3d
+from torch.nn.functional import avg_pool3d, batch_norm, conv3d, interpolate, linear, max_pool3d
 
 import ocnf_model
 from ocnf_data.errors import OcnfError
@@ -53,7 +53,11 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """A level on (B, C, D, H, W) volumes, with torch's own operations."""
     def run(convs, x):
         for conv in convs:
-            y = conv3d(x, conv.weight, conv.bias, padding=1).relu()
+            y = conv3d(x, conv.weight, conv.bias, padding=1)
+            if level.normalise == "batch":
+                norm = conv.norm
+                y = batch_norm(y, norm.running_mean, norm.running_var, norm.weight, norm.bias)
+            y = y.relu()
             x = y + x if level.residual and y.shape == x.shape else y
         return x
 
@@ -78,12 +82,15 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     {"join": "concat", "carry": "features", "output": "tsdf"},
     {"join": "add", "carry": "reconstruction", "output": "occupancy"},
     {"context": 16, "residual": True},
+    {"normalise": "batch", "context": 16},
 ])
 def test_where_every_leaf_is_a_voxel_it_is_the_dense_network(settings) -> None:
     torch.manual_seed(1)
     network = OctNetFusion(**SMALL, levels=2, **settings).double()
-    for parameter in network.parameters():  # the context's last layer begins at zero
-        parameter.data += 0.1 * torch.randn_like(parameter)
+    for tensor in (*network.parameters(), *network.buffers()):  # the context's last layer begins at zero
+        if tensor.is_floating_point():
+            tensor.data += 0.1 * torch.rand_like(tensor)
+    network.eval()
     volumes = [torch.randn(1, 1, n, n, n).double() for n in (32, 64)]
     outputs = network.run([OctreeBatch.full(volume) for volume in volumes])
     features, raw = dense_level(network.levels[0], volumes[0])
@@ -135,6 +142,22 @@ def test_checkpointing_and_grids_apart_change_nothing(inputs) -> None:
     n_leaves = network(alone)[1].n_leaves
     torch.testing.assert_close(network(alone)[1].features, outputs[1].features[-n_leaves:], rtol=1e-5,
                                atol=1e-5)
+
+
+def test_normalised_levels_train_alone_and_give_the_same_in_any_batch(inputs) -> None:
+    torch.manual_seed(0)
+    network = OctNetFusion(**SMALL, levels=2, normalise="batch").double().eval()
+    inputs = [x.to(dtype=torch.float64) for x in inputs]
+    both = network(inputs)
+    alone = network([OctreeBatch.from_grids(x.to_grids()[1:]).to(dtype=torch.float64) for x in inputs])
+    torch.testing.assert_close(alone[1].features, both[1].features[-alone[1].n_leaves:], rtol=1e-5, atol=1e-5)
+    before = {name: buffer.clone() for name, buffer in network.named_buffers()}
+    network.levels[1].train()
+    network.run(inputs, frozen=1)
+    moved = {name for name, buffer in network.named_buffers() if not torch.equal(buffer, before[name])}
+    assert moved and all(name.startswith("levels.1.") for name in moved)
+    with pytest.raises(OcnfError, match="count every batch twice"):
+        network.set_checkpointing(True)
 
 
 def test_a_later_level_starts_from_the_one_before() -> None:

@@ -26,7 +26,7 @@ def parse_off(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
     text = plain_text(data)
     header = _HEADER.match(text)
     if header is None:
-        raise unreadable("not an ASCII OFF file", where, found=text[:40],
+        raise unreadable("not an ASCII OFF file", where,
                          expected="OFF, then the numbers of vertices and faces")
     n_vertices, n_faces = int(header[1]), int(header[2])
     check_face_count(n_faces, max_faces, where)

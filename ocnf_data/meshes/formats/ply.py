@@ -35,6 +35,7 @@ _TYPES = {
 }  # fmt: skip
 _ENDIAN = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER = re.compile(rb"ply[ \t]*\r?\n(.*?\n)[ \t]*end_header[ \t]*\r?\n", re.DOTALL)
+_MAX_HEADER = 2**20
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
 
 
@@ -70,20 +71,23 @@ class _Element:
 
 def parse_ply(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
     """Vertices (N, 3) and triangles (M, 3) of a PLY file; polygons are fanned."""
-    header = _HEADER.match(data)
+    header = _HEADER.match(data, 0, _MAX_HEADER)
     if header is None:
-        raise unreadable("not a PLY file, or its header has no end", where, found=data[:40])
+        raise unreadable("not a PLY file, or its header has no end", where)
     form, elements = _parse_header(header[1], where)
     body = data[header.end():]
+    claimed = 0
     for e in elements:
-        if e.count * e.least_bytes(binary=form != "ascii") > len(body) + 1:
+        claimed += e.count * e.least_bytes(binary=form != "ascii")
+        if claimed > len(body) + 1:
             raise unreadable("the header claims more than the file holds", where,
-                             found=f"{e.count} rows of {e.name} in {len(body)} bytes")
+                             found=f"{claimed} bytes or more in {len(body)}")
         if e.name == "face":
             check_face_count(e.count, max_faces, where)
     names = [e.name for e in elements]
     if len(set(names)) < len(names) or "vertex" not in names:
-        raise unreadable("not one vertex element", where, found=names)
+        raise unreadable("not one vertex element", where,
+                         found=f"{names.count('vertex')} of them among {len(names)} elements")
     reader = _parse_ascii if form == "ascii" else _parse_binary
     vertices, corners, first, n_corners = reader(body, elements, where)
     check_face_count(int(np.maximum(n_corners - 2, 0).sum()), max_faces, where)
@@ -92,7 +96,7 @@ def parse_ply(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
 
 def _parse_header(text: bytes, where: str) -> tuple[str, list[_Element]]:
     form, elements = "", list[_Element]()
-    for raw in text.decode("latin-1").splitlines():
+    for number, raw in enumerate(text.decode("latin-1").splitlines(), start=2):
         match raw.split():
             case ["format", name, _] if name in _ENDIAN:
                 form = name
@@ -108,7 +112,7 @@ def _parse_header(text: bytes, where: str) -> tuple[str, list[_Element]]:
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
-                raise unreadable("a header line makes no sense", where, found=raw)
+                raise unreadable("a header line makes no sense", where, found=f"line {number}")
     if not form:
         raise unreadable("the header names no format", where, expected=", ".join(_ENDIAN))
     return form, elements

@@ -2,8 +2,8 @@
 
 `read_scan` is the one way in. A format is a module with a `ScanFormat`: whether a folder fits, and its
 listing of frames, each with its files, its pose as the file has it, and what its numbers mean. What happens
-after that (`load`) is the same for all. A pixel without a measurement becomes 0, never a free ray: a camera that
-measures nothing has not looked far.
+after that (`load`) is the same for all. A pixel without a measurement becomes 0, never a free ray: a camera
+that measures nothing has not looked far.
 
 Nothing is guessed: units, the direction of the poses, intrinsics and invalid values are the format's, or the
 user's. Then neighbouring frames are laid over each other (`agreement`), and a note with figures says if they

@@ -92,8 +92,8 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     if found.inverse > np.nan_to_num(found.share) + _BETTER:
         return [f"the poses may be meant the other way round: {found}"]
     if found.compared < _ENOUGH:
-        return [f"neighbouring frames hardly overlap ({found.compared} depths could be compared), so that "
-                "nothing confirms the direction of the poses and the scale of the depth"]
+        return [f"neighbouring frames hardly overlap ({found.compared} depths could be compared; {found}), "
+                "so that nothing confirms the direction of the poses and the scale of the depth"]
     if weak:
         return [f"the frames hardly agree with each other: {found}; check depth scale, intrinsics and poses"]
     return []

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+import tokenize
 import zlib
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,9 @@ _MAX_FILE = 2**27  # bytes
 _MAX_PIXELS = 2**26
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # the markers that hold the image's size
+# What numpy raises on damaged headers, which are Python literals.
+_NPY_ERRORS = (ValueError, TypeError, KeyError, SyntaxError, EOFError, OSError, RecursionError, MemoryError,
+               tokenize.TokenError)
 _PNM = re.compile(rb"P([56])" + rb"(?:\s+|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
 
 
@@ -105,7 +109,7 @@ def _npy_size(file: Path, data: bytes) -> tuple[int, int]:
             raise ValueError("objects")
         if len(shape) not in (2, 3):
             raise ValueError(f"{shape}")
-    except (ValueError, SyntaxError, EOFError) as error:
+    except _NPY_ERRORS as error:
         raise OcnfError("not a readable NPY of numbers (H, W)", code="damaged", where=file,
                         found=str(error)) from error
     return int(shape[0]), int(shape[1])
@@ -125,7 +129,7 @@ def _jpeg_size(file: Path, data: bytes) -> tuple[int, int]:
 def _npy(file: Path, data: bytes) -> npt.NDArray[Any]:
     try:
         return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
-    except (ValueError, EOFError, OSError) as error:
+    except _NPY_ERRORS as error:
         raise OcnfError("the NPY is cut off or damaged", code="damaged", where=file) from error
 
 

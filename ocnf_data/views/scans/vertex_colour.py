@@ -40,8 +40,8 @@ def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = N
     for i in range(len(views)):
         image = colour.image(i)
         if image is not None:
-            _add_view(at, directions, views.depth[i], np.stack([views.K[i], colour.K[i]]), views.R[i],
-                      views.T[i], image, band, total)
+            _add_view(at, directions, views.depth[i], np.stack([views.K[i], colour.K[i]]),
+                      np.column_stack([views.R[i], views.T[i]]), image, band, total)
     seen = total[:, 3] > 0
     mixed = np.full((len(points), 3), _GREY, np.uint8)
     mixed[seen] = np.rint(total[seen, :3] / total[seen, 3:]).astype(np.uint8)
@@ -54,9 +54,13 @@ def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = N
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _add_view(points: F64, normals: F64, depth: F32, pinholes: F64, R: F64, T: F64, image: U8, band: float,
+def _add_view(points: F64, normals: F64, depth: F32, pinholes: F64, pose: F64, image: U8, band: float,
               total: F32) -> None:
-    """Add a view's weighed colours to `total` (N, 4): r, g, b, weight. `pinholes`: K of depth and colour."""
+    """Add a view's weighed colours to `total` (N, 4): r, g, b, weight.
+
+    `pinholes`: K of depth and colour; `pose`: (3, 4), world to camera.
+    """
+    R, T = pose[:, :3], pose[:, 3]
     height, width = depth.shape
     rows, columns = image.shape[0], image.shape[1]
     k, c = pinholes[0], pinholes[1]

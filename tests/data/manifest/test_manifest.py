@@ -146,6 +146,10 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
      ["inputs[0].sigma", "found -1", "greater than or equal to 0"]),
     ("noise as text", {"inputs": [{"name": "a", "views": 4, "sigma": "2%", "encodings": ["tsdf"]}]},
      ["inputs[0].sigma", "found '2%'", "number"]),
+    ("unknown scene", {"source": {"kind": "scenes", "categories": ["gardens"], "counts": {"train": 1}}},
+     ["source.categories.train[0]", "found 'gardens'", "rooms, tabletops"]),
+    ("no scenes", {"source": {"kind": "scenes", "categories": "all", "counts": {}}}, ["would be empty"]),
+    ("a path without views", {"camera": {"rig": "inside0"}}, ["camera.rig", "found 'inside0'", "1 to 2000"]),
     ("unknown noise", {"inputs": [{"name": "a", "views": 4, "noise": "kinekt", "encodings": ["tsdf"]}]},
      ["inputs[0].noise", "found 'kinekt'", "'park' or 'kinect'"]),
     ("sigma of a sensor", {"inputs": [
@@ -269,6 +273,10 @@ def test_a_missing_field_is_named(field: str) -> None:
     ("", ["not a mapping", "found None"]),
     ("{" * 100_000, ["nested too deeply"]),
     ("name: 2026-99-99\n", ["not valid YAML"]),
+    ("seed: 010\n", ["line 1, column 7", "010 is one number to YAML 1.1 and another to YAML 1.2"]),
+    ("seed: -0_7\n", ["leading zero"]),
+    ("seed: 1:30\n", ["1:30 is one number"]),
+    ("limits: {timeout_s: 1:30.5}\n", ["1:30.5 is one number"]),
 ])
 def test_a_file_that_is_no_manifest(text: str, parts: list[str], tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
@@ -315,6 +323,17 @@ def test_any_value_in_any_place_is_read_or_refused(data: st.DataObject) -> None:
         return
     assert Manifest.from_dict(m.to_dict()) == m
     json.loads(m.canonical_json())
+
+
+def test_scenes_are_dealt_to_their_kinds_and_seen_from_paths() -> None:
+    source = {"kind": "scenes", "categories": "all", "counts": {"test": 3}}
+    m = Manifest.from_dict({"name": "s", "source": source,
+                            "camera": {"rig": "inside40", "distance": 1.0}, "inputs": example()["inputs"]})
+    assert m.source.entries() == [Entry("test", "rooms", index=0), Entry("test", "tabletops", index=0),
+                                  Entry("test", "rooms", index=1)]
+    assert m.meshes_root() is None and m.camera.n_views == 40
+    assert m.view_indices(m.inputs[0]) == (0, 13, 26, 39)
+    assert Manifest.from_dict(m.to_dict()) == m
 
 
 # ---- comparing
@@ -394,7 +413,10 @@ def test_the_published_selection(tmp_path: Path) -> None:
     (tmp_path / "bed/train/notes.txt").write_text("")
     source = {**MODELNET, "counts": {"train": 8, "val": 3, "test": 2}}
     m = Manifest.from_dict(example(source=source))
-    chosen = {(e.split, e.path) for e in m.source.entries(m.meshes_root(tmp_path))}
+    entries = m.source.entries(m.meshes_root(tmp_path))
+    hidden = [e for e in entries if e.excluded]
+    assert [(e.split, e.path) for e in hidden] == [("train", "bed/train/.hidden.off")], "once, for two splits"
+    chosen = {(e.split, e.path) for e in entries if not e.excluded}
     assert chosen == {
         *(("train", f"bed/train/bed_{i:04d}.off") for i in range(8)),
         *(("val", f"bed/train/bed_{i:04d}.off") for i in (8, 9, 10)),

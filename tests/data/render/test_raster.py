@@ -212,7 +212,8 @@ def bounds_checked() -> Callable[..., np.ndarray]:
     def rasterise(vertices, faces, K, R, T, size, near=1e-3) -> np.ndarray:
         depth = np.empty((len(R), *size), np.float32)
         pinholes = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
-        namespace["_render_strided"](vertices, faces.astype(np.uint32), pinholes, R, T, near, 0, 1, depth)
+        cameras = raster.Cameras(pinholes, R, T, near)
+        namespace["_render_strided"](vertices, faces.astype(np.uint32), cameras, 0, 1, depth)
         return depth
 
     return rasterise

@@ -15,6 +15,7 @@ from ocnf_data.meshes.topology import is_watertight
 from ocnf_data.render import render_depth
 from ocnf_data.shapes import CATEGORIES, make_shape
 from ocnf_data.shapes.draw import Draw
+from ocnf_data.shapes.hollow import hollow
 from ocnf_data.shapes.primitives import (
     Part,
     bevel_box,
@@ -27,9 +28,11 @@ from ocnf_data.shapes.primitives import (
     stack,
     tube,
 )
+from ocnf_data.shapes.rings import _band, _pipe
 from ocnf_data.views import rigs
 
 COUNT = 25
+OPEN = ("basket", "bathtub", "bowl", "box", "bucket", "cup", "glass", "mug", "pitcher", "pot", "vase")
 GOLDEN = {
     "airplane": "bd1843b0a332", "basket": "542c22bfb752", "bathtub": "320566f0fcbc",
     "bed": "de217a035a7b", "bottle": "48d11c72d06d", "bowl": "2dc8e8727832",
@@ -152,6 +155,46 @@ def test_primitives_enclose_their_volume(part, volume):
     """Closed and wound outwards: the signed volume is that of the solid."""
     assert is_watertight(part.faces)
     assert _volume(part) == pytest.approx(volume, rel=3e-3)
+
+
+def _cone_volume(r0, r1, h):
+    return np.pi / 3 * h * (r0 * r0 + r0 * r1 + r1 * r1)
+
+
+@pytest.mark.parametrize(("r0", "r1", "h", "wall"), [(1, 1, 2, 0.1), (0.5, 1.2, 1, 0.05), (1, 0.7, 3, 0.2)])
+def test_a_hollow_vessel_encloses_its_wall_and_nothing_else(r0, r1, h, wall):
+    """Watertight, wound outwards, and its volume is the outside's less the cavity's (and the lip's)."""
+    heights = np.linspace(0, h, 40)
+    vessel = hollow(np.linspace(r0, r1, 40), heights, wall, ellipse(1, 1, 300))
+    assert is_watertight(vessel.faces)
+    floor = r0 + (r1 - r0) * wall / h
+    cavity = _cone_volume(floor - wall, r1 - wall, h - wall)
+    lip = 0.4 * wall * 0.5 * np.pi * (r1**2 - (r1 - wall) ** 2)
+    assert _volume(vessel) == pytest.approx(_cone_volume(r0, r1, h) - cavity + lip, rel=0.01)
+
+
+def test_pipes_and_bands_enclose_their_walls():
+    pipe = _pipe(np.array([(0, 0, 0), (0, 0, 3.0)]), 1.0, 0.2, 200)
+    band = _band(1.0, 0.3, 0.5, 200)
+    assert is_watertight(pipe.faces) and is_watertight(band.faces)
+    assert abs(_volume(pipe)) == pytest.approx(np.pi * (1 - 0.64) * 3, rel=1e-3)
+    assert _volume(band) == pytest.approx(np.pi * (1 - 0.49) * 0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("category", OPEN)
+def test_open_vessels_are_open_at_the_top(category, shapes):
+    """Seen straight from above, most of them (those without lids and contents) are deep in the middle."""
+    deep = []
+    for i in range(COUNT):
+        mesh = shapes[category, i]
+        low, high = mesh.vertices[:, 2].min(), mesh.vertices[:, 2].max()
+        size = np.ptp(mesh.vertices[:, :2], axis=0).min()
+        # One camera far above the origin, which all vessels stand around, looking down through one pixel.
+        R = np.array([[[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]])
+        depth = render_depth(mesh.vertices, mesh.faces, rigs.intrinsics(1, 1, 0, 0), R,
+                             np.array([[0.013 * size, 0.007 * size, high + 1.0]]), size=(1, 1))[0, 0, 0]
+        deep.append(high + 1 - depth < low + 0.5 * (high - low))
+    assert np.mean(deep) > 0.5
 
 
 def test_open_lofts_are_open():

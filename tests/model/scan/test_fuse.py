@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from rich.console import Console
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, fuse_histogram
@@ -100,6 +102,14 @@ def test_frames_that_all_look_away_are_said_to(scan: Path, tmp_path: Path) -> No
     with pytest.raises(OcnfError, match="no frame looks at it"):
         fuse_scan(replace(read, views=away), Baseline(32), region=Region.of_box(BOX))
     assert looked_at(read.views, Region.of_box(BOX)) and not looked_at(away, Region.of_box(BOX))
+
+
+def test_a_warning_is_printed_before_what_it_explains_fails(scan: Path, tmp_path: Path) -> None:
+    console = Console(record=True, width=400, file=io.StringIO())
+    with pytest.raises(OcnfError, match="no surface was found"):
+        run_fuse("unused", str(scan), out=tmp_path / "mesh.ply", box=BOX, method="volfus", resolution=32,
+                 console=console, reading={"pose_scale": 30.0})
+    assert "Note: neighbouring frames hardly overlap" in console.export_text()
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj"])

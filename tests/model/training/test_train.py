@@ -35,7 +35,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 def finished(tiny, small, tmp_path_factory) -> Path:
     """A run of two levels with two epochs each."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    train(tiny, folder, small(stages=[stage(epochs=2)]), device="cpu")
+    train(tiny, folder, small(stages=[stage(epochs=2)], best_by="mad"), device="cpu")
     return folder
 
 
@@ -91,7 +91,7 @@ def test_the_validation_mad_is_that_of_the_shipped_metric(finished, tiny) -> Non
 
 def test_a_finished_run_stays_as_it_is(finished, tiny, small) -> None:
     before = snapshot(finished)
-    network = train(tiny, finished, small(stages=[stage(epochs=2)], workers=1), device="cpu")
+    network = train(tiny, finished, small(stages=[stage(epochs=2)], best_by="mad", workers=1), device="cpu")
     after = snapshot(finished)
     assert {**after, "curves.csv": b""} == {**before, "curves.csv": b""}
     loaded = load_run(finished).state_dict()
@@ -108,7 +108,7 @@ def test_a_later_level_begins_where_the_one_before_was_best(finished, tiny, smal
 
     start = OctNetFusion.start_from_previous
     monkeypatch.setattr(OctNetFusion, "start_from_previous", record)
-    train(tiny, out, small(stages=[stage(epochs=2)]), device="cpu")
+    train(tiny, out, small(stages=[stage(epochs=2)], best_by="mad"), device="cpu")
     best = load_run(out).levels[0].state_dict()
     assert [name for name, tensor in begun.items() if not torch.equal(tensor, best.get(name, tensor[:0]))] \
         == ["first.0.weight"]
@@ -127,9 +127,10 @@ def test_occupancy_mixed_precision_and_checkpointing(tiny, small, out) -> None:
 def test_another_run_in_the_folder_is_refused(finished, tiny, small, tmp_path) -> None:
     before = snapshot(finished)
     for changes, field in (({"seed": 1}, "seed"), ({"levels": 1}, "levels"),
-                           ({"stages": [stage(epochs=3)]}, r"stages\[0\].epochs")):
+                           ({"stages": [stage(epochs=1)]}, r"stages\[0\].epochs")):
         with pytest.raises(OcnfError, match=f"{field}: the run was begun with other settings"):
-            train(tiny, finished, small(**{"stages": [stage(epochs=2)], **changes}), device="cpu")
+            other = small(**{"stages": [stage(epochs=2)], "best_by": "mad", **changes})
+            train(tiny, finished, other, device="cpu")
     assert snapshot(finished) == before
     for text, message in (("{", "not JSON"), ("{}", "not the settings"), ('{"schema": 1}', "not a mapping")):
         (tmp_path / "settings.json").write_text(text)

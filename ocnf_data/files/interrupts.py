@@ -1,0 +1,95 @@
+"""Ctrl-C and SIGTERM: one exception in the main thread, and none in the processes that it has started.
+
+A command line calls `listen` first; from then on both signals raise `KeyboardInterrupt` once, wherever the
+main thread is. Ctrl-C reaches every process of the terminal's foreground group, and a process that is stopped
+while it starts prints a traceback, so whoever starts processes does that inside `starting_processes`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SECONDS_OF_GRACE = 2.0
+
+
+class _Listener:
+    """What has arrived, and whether it has to wait."""
+
+    def __init__(self) -> None:
+        self.process: int | None = None
+        self.first: int | None = None
+        self.since = 0.0
+        self.delays = 0
+        self.waiting = False
+
+    def hear(self, number: int, _: FrameType | None) -> None:
+        """The handler of both signals."""
+        if os.getpid() != self.process:  # a forked process that has not set handlers of its own
+            if number == signal.SIGTERM:
+                os._exit(128 + number)
+            return
+        if self.first is not None:  # a shell or a batch system may send both; one who insists gets their way
+            if time.monotonic() - self.since > _SECONDS_OF_GRACE:
+                os._exit(128 + number)
+            return
+        self.first, self.since = number, time.monotonic()
+        if self.delays:
+            self.waiting = True
+        else:
+            raise KeyboardInterrupt
+
+    def catch_up(self) -> None:
+        """Raise what had to wait."""
+        if self.waiting and not self.delays:
+            self.waiting = False
+            raise KeyboardInterrupt
+
+
+_listener = _Listener()
+
+
+def listen() -> None:
+    """From now on SIGINT and SIGTERM raise `KeyboardInterrupt` in this process's main thread."""
+    _listener.__init__()  # type: ignore[misc]  # anew, where a process calls several commands
+    _listener.process = os.getpid()
+    for number in _SIGNALS:
+        signal.signal(number, _listener.hear)
+
+
+def exit_status() -> int:
+    """128 + the number of the signal that came first: 130 for Ctrl-C, 143 for SIGTERM."""
+    return 128 + (_listener.first or signal.SIGINT)
+
+
+@contextmanager
+def starting_processes() -> Iterator[None]:
+    """Let signals wait until the block has started its processes, which never get to see Ctrl-C.
+
+    They inherit both signals blocked: `ignore_interrupts` in them opens SIGTERM again.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    _listener.delays += 1
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        _listener.delays -= 1
+        _listener.catch_up()
+
+
+def ignore_interrupts() -> None:
+    """In a worker process: what Ctrl-C means is for the process to say that started it."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)

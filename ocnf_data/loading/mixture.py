@@ -1,0 +1,163 @@
+"""Several data sets as one, each drawn from as often as its weight says.
+
+>>> paper = ShardDataset("out", "train", [64], "histogram", variant="v4_n02")              # doctest: +SKIP
+>>> drawn = SynthesisDataset("manifest.yaml", [64], "histogram", meshes="meshes")          # doctest: +SKIP
+>>> mixed = MixtureDataset([(paper, 2), (drawn, 1)], samples_per_epoch=3000, batch_size=4)
+...                                                                                        # doctest: +SKIP
+
+Sample i of epoch e comes from the part that (seed, e, i) draws. If it is the n-th of that part in the epoch,
+it is the part's own sample n of epoch e: a data set's samples come in the order of its epoch, each once
+before any comes again, whatever the other parts are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from ocnf_data.arrays import I64
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json, sha256_hex
+from ocnf_data.loading.arguments import bad_setting, whole
+from ocnf_data.loading.catalogue import check_meaning
+from ocnf_data.loading.drawn import DrawnDataset
+from ocnf_data.loading.fetch import RawSample
+from ocnf_data.loading.supply import Supply
+from ocnf_data.shards.tarformat import JSON
+
+MIXED_VARIANT = "mixture"
+"""What stands in the inputs' member names for the parts' variants: a network is not told which it gets."""
+
+
+class _HasSupply(Protocol):
+    def supply(self) -> Supply: ...
+
+
+class MixtureDataset(DrawnDataset):
+    """Batches out of several data sets with weights; the parts' own batch sizes and ranks do not count.
+
+    Args:
+        parts: (data set, weight) of each: a `ShardDataset` (of one variant of its inputs) or a
+            `SynthesisDataset`, all of the same resolutions and encoding; the weights are relative.
+        samples_per_epoch: how many samples make an epoch, of all ranks together.
+        seed: of which part is drawn, and of the augmentation.
+        batch_size: samples a batch, for each rank.
+        rank: as for `ShardDataset`.
+        world_size: likewise.
+        on_error: "raise", or "skip" for the part's next sample in the place of one that is damaged.
+        uneven: "repeat" or "exact", as for `ShardDataset`.
+        drop_last: leave out the last, incomplete round of batches.
+        augment: "none", "rotations", "flips" or "all".
+        max_bad_fraction: as for `ShardDataset`.
+
+    Raises:
+        OcnfError: no parts, a weight that is not positive, parts that do not go together.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[tuple[_HasSupply, float]],
+        samples_per_epoch: int,
+        *,
+        seed: int = 0,
+        batch_size: int = 1,
+        rank: int | None = None,
+        world_size: int | None = None,
+        on_error: str = "raise",
+        uneven: str = "repeat",
+        drop_last: bool = False,
+        augment: str = "none",
+        max_bad_fraction: float = 0.05,
+    ) -> None:
+        supplies = [(dataset.supply(), weight) for dataset, weight in parts]
+        n_samples = whole("samples_per_epoch", samples_per_epoch, least=1)
+        super().__init__(MixtureSupply(supplies, whole("seed", seed, least=0)), n_samples, seed=seed,
+                         batch_size=batch_size, rank=rank, world_size=world_size, on_error=on_error,
+                         uneven=uneven, drop_last=drop_last, augment=augment,
+                         max_bad_fraction=max_bad_fraction)
+
+    def _order(self) -> dict[str, Any]:
+        return {"mixture": self.checksum, **self._drawn_order()}
+
+
+class MixtureSupply:
+    """Samples of several supplies; see `loading.supply.Supply`.
+
+    Args:
+        parts: (supply, weight) of each.
+        seed: of which part is drawn.
+    """
+
+    def __init__(self, parts: Sequence[tuple[Supply, float]], seed: int) -> None:
+        _check(parts)
+        self._supplies = [supply for supply, _ in parts]
+        self._ends = np.cumsum([weight for _, weight in parts])
+        self._seed = seed
+        self._epoch = -1
+        self._places = np.empty((0, 2), np.int64)
+        self.request = replace(self._supplies[0].request, variant=MIXED_VARIANT)
+        self.checksum = sha256_hex(canonical_json([
+            [supply.checksum, supply.request.variant, supply.request.split, supply.request.categories, weight]
+            for supply, weight in parts]))
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """That of the first part; the others agree where it matters."""
+        return self._supplies[0].manifest
+
+    def key(self, epoch: int, number: int, attempt: int) -> str:
+        """That of the part's sample."""
+        part, n = self.place(epoch, number)
+        return self._supplies[part].key(epoch, n, attempt)
+
+    def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
+        """The part's sample, its inputs under the mixture's name."""
+        part, n = self.place(epoch, number)
+        supply = self._supplies[part]
+        sample = supply.sample(epoch, n, attempt)
+        names = zip(supply.request.members(), self.request.members(), strict=True)
+        return replace(sample, octrees={ours: sample.octrees[theirs] for theirs, ours in names
+                                        if theirs != JSON})
+
+    def place(self, epoch: int, number: int) -> tuple[int, int]:
+        """Which part a sample is of, and its number there."""
+        if epoch != self._epoch:
+            self._epoch, self._places = epoch, np.empty((0, 2), np.int64)
+        if number >= len(self._places):
+            self._places = self._draw(epoch, max(1024, 2 * (number + 1)))
+        part, n = self._places[number].tolist()
+        return part, n
+
+    def _draw(self, epoch: int, n: int) -> I64:
+        """(n, 2): part and number in it of the first n samples of an epoch."""
+        key = hashlib.sha256(f"ocnf mixture {self._seed} {epoch}".encode()).digest()[:16]
+        # Words of a bit generator, as in `loading.order`: their stream is promised to stay.
+        words = np.random.Philox(key=int.from_bytes(key, "little")).random_raw(n) >> np.uint64(11)
+        at = words.astype(np.float64) / 2**53 * self._ends[-1]
+        part = np.minimum(np.searchsorted(self._ends, at, side="right"), len(self._ends) - 1)
+        places = np.empty((n, 2), np.int64)
+        places[:, 0] = part
+        for p in range(len(self._ends)):
+            mine = part == p
+            places[mine, 1] = np.arange(mine.sum())
+        return places
+
+
+def _check(parts: Sequence[tuple[Supply, float]]) -> None:
+    """Refuse what cannot be mixed."""
+    if not parts:
+        raise OcnfError("there is nothing to mix", code="empty", where="MixtureDataset", field="parts")
+    first = parts[0][0]
+    for i, (supply, weight) in enumerate(parts):
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < float("inf"):
+            raise bad_setting("not a weight", f"parts[{i}]", weight, "a number above 0")
+        for field in ("resolutions", "encoding", "targets"):
+            mine, theirs = getattr(supply.request, field), getattr(first.request, field)
+            if mine != theirs:
+                raise OcnfError("the parts do not go together", where=f"MixtureDataset, part {i}",
+                                field=field, found=mine, expected=f"{theirs}, as in part 0")
+        check_meaning(f"part {i}", supply.manifest, "part 0", first.manifest)

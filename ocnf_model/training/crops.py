@@ -1,0 +1,89 @@
+"""Training a level on boxes around the surface instead of whole grids.
+
+The levels before run on the whole grid, without gradients, so that what they carry up into the box is what
+it always is. Only the level in training sees a box, with zeros around it. Near its faces that is not what it
+will see in the whole grid, so the outer voxels of a box, but for those at the grid's own faces, have no loss.
+Voxels whose receptive field lies in the box come out as in the whole grid.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ocnf_data.arrays import I64
+from ocnf_data.errors import OcnfError
+from ocnf_data.octree.bits import TREE_WIDTH
+from ocnf_model.network import OctNetFusion
+from ocnf_model.octree.crop import crop
+from ocnf_model.octree.structure import Structure
+from ocnf_model.training.batches import Example
+
+ALIGNMENT = 4
+"""Trees: a corner's multiple, so that two poolings join the same voxels as in the whole grid."""
+MARGIN = 2
+"""Trees, 16 voxels, along a face within the grid that have no loss."""
+
+
+def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Sequence[str]) -> I64:
+    """Corners (B, 3), in trees along (z, y, x), of boxes around a tree of each ground truth that is divided.
+
+    A pure function of (seed, epoch, key) and the ground truth.
+
+    Args:
+        truth: where the surface is.
+        size: trees along each axis.
+        seed: of the run.
+        epoch: from 0.
+        keys: of the samples.
+
+    Raises:
+        OcnfError: the box is larger than the grid.
+    """
+    grid = np.array(truth.grid)
+    if (grid < size).any():
+        raise OcnfError("the crop is larger than the grid", where="train", field="crop",
+                        found=size * TREE_WIDTH, expected=f"at most {TREE_WIDTH * grid.min()}")
+    corners = np.empty((len(keys), 3), np.int64)
+    for b, key in enumerate(keys):
+        digest = hashlib.sha256(f"ocnf crop {seed} {epoch} {key}".encode()).digest()
+        divided = np.flatnonzero(truth.trees[b, ..., 0].reshape(-1) & np.uint64(1))
+        if not len(divided):
+            divided = np.arange(grid.prod())
+        tree = divided[int.from_bytes(digest[:8], "little") % len(divided)]
+        centre = np.array(np.unravel_index(tree, truth.grid))
+        nearest = ALIGNMENT * np.round((centre - (size - 1) / 2) / ALIGNMENT).astype(np.int64)
+        corners[b] = np.clip(nearest, 0, grid - size)
+    return corners
+
+
+def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I64, size: int,
+                loss: Callable[..., Tensor]) -> Tensor:
+    """The loss of each sample, (B,), over the inner voxels of its box.
+
+    Args:
+        network: the levels before `level` run without gradients.
+        example: on whole grids.
+        level: from 0.
+        corners: (B, 3) in trees.
+        size: trees along each axis.
+        loss: of (prediction, target), a mean over voxels.
+    """
+    with torch.no_grad():
+        before = network.run(example.inputs[:level])[-1] if level else None
+        x = network.level_input(before, example.inputs[level])
+        box = crop(x, corners, (size,) * 3)
+    raw, target = network.levels[level](box).raw, crop(example.target, corners, (size,) * 3)
+    grid = np.array(x.structure.grid)
+    losses = []
+    for b, corner in enumerate(corners):
+        low = np.where(corner == 0, 0, MARGIN)
+        high = np.where(corner + size == grid, size, size - MARGIN)
+        depth, height, width = (int(n) for n in high - low)
+        inner, shape = low[None], (depth, height, width)
+        losses.append(loss(crop(raw, inner, shape, [b]), crop(target, inner, shape, [b])))
+    return torch.stack(losses)

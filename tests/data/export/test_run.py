@@ -1,0 +1,94 @@
+"""A whole data set: every sample accounted for, resumable, with one process or several."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.export import export_dataset
+from ocnf_data.files.storage import Store
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes()
+            for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_what_is_there_is_kept_and_the_rest_is_made(shapes: Store, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    calls: list[tuple[int, int]] = []
+    report = export_dataset(shapes.url, out, "dense", resolution=32, limit=1,
+                            progress=lambda done, total: calls.append((done, total)))
+    assert (report.written, report.kept) == (2, 0) and calls == [(1, 2), (2, 2)]
+    assert report.size == sum(len(data) for name, data in files(out).items() if name.endswith(".npz"))
+    assert str(report).startswith("2 samples = 2 written + 0 kept + 0 failed; ")
+    whole = files(out)
+    stamp = (out / "train/ball_1.npz").stat().st_mtime_ns
+    (out / "test/box_2.npz").unlink()
+    report = export_dataset(shapes.url, out, "dense", resolution=32)
+    assert (report.written, report.kept) == (3, 1)  # box_2 again, and what the limit had left out
+    assert (out / "train/ball_1.npz").stat().st_mtime_ns == stamp
+    assert whole.items() <= files(out).items()
+
+
+def test_points_of_a_stopped_run_are_made_whole(shapes: Store, tmp_path: Path) -> None:
+    """The last file of a sample stands for the others: without it, all are written again."""
+    out = tmp_path / "out"
+    export_dataset(shapes.url, out, "points", points=50, splits=["train"])
+    whole = files(out)
+    (out / "deepsdf/SdfSamples/ocnf/ball/ball_1.npz").unlink()
+    (out / "occupancy_networks/ball/ball_1/points.npz").write_bytes(b"half")
+    report = export_dataset(shapes.url, out, "points", points=50, splits=["train"])
+    assert (report.written, report.kept) == (1, 2)
+    assert files(out) == whole
+
+
+def test_other_settings_or_another_data_set_are_refused(shapes: Store, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    export_dataset(shapes.url, out, "points", points=50, limit=1)
+    before = files(out)
+    for change, field in (({"points": 60}, "points"), ({"coordinates": "metres"}, "coordinates"),
+                          ({"resolution": 32}, "resolution")):
+        with pytest.raises(OcnfError) as caught:
+            export_dataset(shapes.url, out, "points", limit=1, **{"points": 50, **change})
+        assert (caught.value.code, caught.value.field) == ("misfit", field)
+    assert files(out) == before
+    (out / "export-points.json").write_text("[]")
+    with pytest.raises(OcnfError, match="damaged"):
+        export_dataset(shapes.url, out, "points", points=50, limit=1)
+    assert export_dataset(shapes.url, out, "dense", resolution=32, limit=1).written == 2  # beside it
+
+
+def test_a_sample_that_fails_does_not_stop_the_others(shapes: Store, tmp_path: Path) -> None:
+    """One has no such resolution, one is damaged, one shard is gone."""
+    report = export_dataset(shapes.url, tmp_path / "a", "dense", resolution=64)
+    assert report.written == 3
+    assert [(key, error.code) for key, error in report.failures] == [("ball_2", "missing")]
+    assert "expected 32" in str(report.failures[0][1])
+    shard = shapes.root / "train/shard-000000.tar"
+    damaged = bytearray(shard.read_bytes())
+    damaged[damaged.index(b"box_1.target-32.oct") + 600] ^= 1
+    shard.write_bytes(damaged)
+    (shapes.root / "train/shard-000001.tar").unlink()
+    (shapes.root / "train/shard-000001.json").unlink()
+    report = export_dataset(shapes.url, tmp_path / "b", "dense", resolution=32)
+    assert report.written == 2
+    codes = {key: error.code for key, error in report.failures}
+    assert codes == {"box_1": "checksum", "train/shard-000001.tar[0]": "missing"}
+
+
+@pytest.mark.parametrize(("wrong", "field"), [({"splits": ["val"]}, "split"), ({"limit": 0}, "limit")])
+def test_what_is_not_there_is_named(shapes: Store, tmp_path: Path, wrong: dict, field: str) -> None:
+    with pytest.raises(OcnfError) as caught:
+        export_dataset(shapes.url, tmp_path / "out", "dense", **wrong)
+    assert caught.value.field == field
+    assert not (tmp_path / "out").exists()
+
+
+def test_several_processes_write_what_one_writes(shapes: Store, tmp_path: Path) -> None:
+    reports = [export_dataset(shapes.url, tmp_path / str(jobs), "points", points=50, jobs=jobs)
+               for jobs in (1, 2)]
+    assert files(tmp_path / "1") == files(tmp_path / "2")
+    assert [report.written for report in reports] == [4, 4]

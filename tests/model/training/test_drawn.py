@@ -1,0 +1,201 @@
+"""Training on a manifest, and on mixtures of data sets, variants and manifests."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import ocnf_data.generation.run as generation
+from ocnf_data import generate
+from ocnf_data.errors import OcnfError
+from ocnf_data.manifest import Manifest
+from ocnf_model.checkpoint import open_run
+from ocnf_model.cli import app
+from ocnf_model.training.data import open_data
+from ocnf_model.training.run import train
+from ocnf_model.training.train_state import load_state
+
+from .conftest import MANIFEST
+from .test_processes import ENVIRONMENT, TRAINS_UNTIL_KILLED
+
+SECTION = {"samples_per_epoch": 5, "views": [1, 3], "rotate": "any", "repeat": 2}
+STAGES = [{"epochs": 2, "batch_size": 1, "accumulate": 2, "learning_rate": 1e-3}]
+
+
+@pytest.fixture(scope="module")
+def manifest(tmp_path_factory) -> str:
+    """The tiny data set's manifest, with what is drawn anew."""
+    path = tmp_path_factory.mktemp("manifest") / "drawn.yaml"
+    path.write_text(yaml.safe_dump({**MANIFEST, "synthesis": SECTION}))
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def variants(tmp_path_factory) -> str:
+    """A data set with three variants of inputs."""
+    folder = tmp_path_factory.mktemp("variants") / "set"
+    inputs = [{"name": f"v{n}", "views": n, "sigma": 0.01, "encodings": ["tsdf"]} for n in (1, 2, 4)]
+    generate(Manifest.from_dict({**MANIFEST, "inputs": inputs}), str(folder))
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def finished(manifest, small, tmp_path_factory) -> Path:
+    """A run on the manifest."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    train(manifest, folder, small(stages=STAGES), device="cpu")
+    return folder
+
+
+def test_a_manifest_trains_and_its_validation_split_is_made_once(finished, manifest, small, tiny) -> None:
+    run = open_run(finished)
+    assert run.resolutions == [32, 64]
+    assert (run.data.n_train, run.data.n_val, run.data.variant) == (5, 2, "v2")
+    # The validation set is the data set's own: draws for training are no part of it.
+    made, stored = (next((Path(folder) / "val").glob("*.tar")).read_bytes()
+                    for folder in (finished / "validation", tiny))
+    assert made == stored
+    assert not (finished / "validation" / "train").exists()
+    before = {path: path.stat().st_mtime_ns for path in (finished / "validation" / "val").iterdir()}
+    train(manifest, finished, small(stages=STAGES), device="cpu")
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+def test_a_data_set_may_validate_in_the_place_of_the_split(finished, manifest, small, tiny, out) -> None:
+    train(manifest, out, small(stages=STAGES), device="cpu", val=tiny)
+    assert not (out / "validation").exists()
+    for level in (1, 2):
+        name = f"level-{level}.safetensors"
+        assert (out / name).read_bytes() == (finished / name).read_bytes()
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_killed_run_ends_with_the_same_weights(manifest, variants, small, tmp_path, mixed) -> None:
+    parts = [{"variant": "v1", "weight": 2}, {"variant": "v4"}, {"data": manifest, "weight": 1.5}]
+    settings = small(stages=STAGES, save_every=1, augment="flips", levels=1,
+                     **({"mixture": parts, "samples_per_epoch": 5} if mixed else {}))
+    data = variants if mixed else manifest
+    train(data, tmp_path / "whole", settings, device="cpu")
+    file, out = tmp_path / "settings.json", tmp_path / "killed"
+    file.write_text(json.dumps(settings.to_dict()))
+    # Five batches an epoch, a step and a state after the second, the fourth and the fifth.
+    process = subprocess.run(
+        [sys.executable, "-c", TRAINS_UNTIL_KILLED, "8", "train", data, "--out", str(out),
+         "--settings", str(file), "--workers", "2", "--device", "cpu"],
+        env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=180, check=False)
+    assert process.returncode == -signal.SIGKILL, process.stderr
+    place = load_state(out)[0]
+    assert (place.level, place.epoch, place.step) == (0, 1, 2)
+    shutil.rmtree(out / "cache", ignore_errors=True)  # what it held is made again
+    train(data, out, settings, device="cpu")
+    name = "level-1.safetensors"
+    assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_a_run_stopped_while_making_the_validation_set_is_taken_up(manifest, small, out, monkeypatch) -> None:
+    def stop(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(generation, "write_dataset", stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(manifest, out, small(levels=1), device="cpu")
+    monkeypatch.undo()
+    assert (out / "validation" / "plan.json").exists()
+    assert not (out / "settings.json").exists()
+    train(manifest, out, small(levels=1), device="cpu")
+    assert open_run(out).data.n_val == 2
+
+
+def test_two_ranks_have_the_losses_of_one_with_twice_the_batch(manifest, small, tmp_path) -> None:
+    stages = [{"epochs": 2, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-3}]
+    train(manifest, tmp_path / "one", small(stages=stages, levels=1), device="cpu")
+    stages[0]["batch_size"] = 1
+    file, out = tmp_path / "settings.json", tmp_path / "two"
+    file.write_text(json.dumps(small(stages=stages, levels=1).to_dict()))
+    process = subprocess.run(
+        [sys.executable, "-m", "torch.distributed.run", "--standalone", "--local-addr", "127.0.0.1",
+         "--nproc-per-node", "2", "-m", "ocnf_model.cli", "train", manifest, "--out", str(out), "--settings",
+         str(file), "--device", "cpu"],
+        env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, timeout=180, check=False)
+    assert process.returncode == 0, process.stderr
+    one, two = (load_state(folder)[0].rows for folder in (tmp_path / "one", out))
+    assert [row.train_loss for row in two] == pytest.approx([row.train_loss for row in one], rel=1e-4)
+    assert [row.val_mad for row in two] == pytest.approx([row.val_mad for row in one], rel=1e-4)
+
+
+def test_a_mixture_draws_variants_and_the_network_is_not_told(variants, manifest, small, out) -> None:
+    settings = small(levels=1, samples_per_epoch=40, mixture=[
+        {"variant": "v1"}, {"variant": "v4", "weight": 2}, {"data": manifest}])
+    source = open_data(variants, settings)
+    batches = list(source.training(out, settings, 0))
+    members = {slot.member for batch in batches for slot in batch.slots}
+    assert members == {"mixture-tsdf-32.oct", "target-32.oct"}
+    drawn = [len(meta["views"]) if "views" in meta else 0 for batch in batches for meta in batch.meta]
+    assert drawn.count(0) > 15  # of the data set; the rest comes from the manifest with 1 to 3 views
+    assert {1, 2, 3} & set(drawn)
+    assert source.validation(out, settings, 0).variant == "v1"  # the manifest's first, if nobody says
+    assert source.validation(out, settings.model_copy(update={"variant": "v4"}), 0).variant == "v4"
+
+
+def test_an_epoch_of_a_plain_data_set_may_have_another_length(tiny, small, out) -> None:
+    settings = small(levels=1, samples_per_epoch=3, stages=[STAGES[0] | {"accumulate": 1}])
+    train(tiny, out, settings, device="cpu")
+    assert [row.steps for row in load_state(out)[0].rows] == [3, 6]
+
+
+def test_settings_of_a_plain_run_are_written_as_before_mixtures_were(tiny, small, out) -> None:
+    train(tiny, out, small(levels=1), device="cpu")
+    written = json.loads((out / "settings.json").read_bytes())["settings"]
+    header = json.loads((out / "level-1.json").read_bytes())["settings"]
+    assert not {"mixture", "samples_per_epoch"} & {*written, *header}
+
+
+def test_another_manifest_or_mixture_is_refused(finished, manifest, variants, small, tmp_path, out) -> None:
+    other = tmp_path / "other.yaml"
+    for changes, message in (({"synthesis": {**SECTION, "views": [1, 4]}}, "another data set"),
+                             ({"inputs": [{"name": "v2", "views": 3, "sigma": 0.01, "encodings": ["tsdf"]}]},
+                              r"inputs\[0\]")):
+        other.write_text(yaml.safe_dump({**MANIFEST, "synthesis": SECTION, **changes}))
+        with pytest.raises(OcnfError, match=message):
+            train(str(other), finished, small(stages=STAGES), device="cpu")
+    parts = [{"variant": "v1"}, {"variant": "v2"}]
+    settings = small(levels=1, mixture=parts, samples_per_epoch=4)
+    train(variants, out, settings, device="cpu")
+    parts[1]["weight"] = 3.0
+    with pytest.raises(OcnfError, match=r"mixture\[1\].weight"):
+        train(variants, out, small(levels=1, mixture=parts, samples_per_epoch=4), device="cpu")
+    with pytest.raises(OcnfError, match="samples_per_epoch"):
+        train(variants, out, small(levels=1, mixture=parts), device="cpu")
+    with pytest.raises(OcnfError, match="mixture"):
+        train(variants, out, small(levels=1, variant="v1"), device="cpu")
+
+
+def test_what_a_manifest_lacks_is_said(small, tmp_path, out, tiny) -> None:
+    path = tmp_path / "lacks.yaml"
+    for changes, message in (
+            ({"source": {**MANIFEST["source"], "counts": {"train": 3}}}, r"no samples to validate.*--val"),
+            ({"inputs": [{"name": "v2", "views": 2, "encodings": ["occupancy"]}]}, "has the encoding"),
+            ({"source": {"kind": "folder"}}, "--meshes ROOT"),
+            ({"truncation_voxels": 3.0}, "truncation_voxels")):
+        path.write_text(yaml.safe_dump({**MANIFEST, **changes}))
+        val = tiny if "truncation_voxels" in changes else None
+        with pytest.raises(OcnfError, match=message):
+            train(str(path), out, small(levels=1), device="cpu", val=val)
+    with pytest.raises(OcnfError, match="needs no meshes"):
+        train(tiny, out, small(levels=1), device="cpu", meshes=tmp_path)
+
+
+def test_the_command_line_trains_on_a_manifest(manifest, out, tiny) -> None:
+    result = CliRunner().invoke(app, [
+        "train", manifest, "--out", str(out), "--levels", "1", "--encoding", "tsdf", "--channels", "2,2,2",
+        "--epochs", "1", "--workers", "0", "--val", tiny])
+    assert result.exit_code == 0, result.output
+    assert open_run(out).data.name == "tiny"
