@@ -55,7 +55,7 @@ def collect(url: str, split: str | None, band_samples: int, mad: bool = False) -
                 for variant in manifest.inputs for encoding in variant.encodings]
     columns: Columns = defaultdict(lambda: defaultdict(list))
 
-    def add(column: str, category: str, value: float) -> None:
+    def record(column: str, category: str, value: float) -> None:
         columns[column][category].append(value)
         columns[column][_ALL].append(value)
 
@@ -64,19 +64,19 @@ def collect(url: str, split: str | None, band_samples: int, mad: bool = False) -
         if split not in (None, sample.split):
             continue
         category = sample.entry.category
-        add("coverage", category, 100 * sample.facts["coverage"])
+        record("coverage", category, 100 * sample.facts["coverage"])
         for label, name_of in members:
             for res in manifest.resolutions:
                 leaves = sample.entry.leaf_counts[name_of(res)]
-                add(f"{label} {res}³", category, 100 * leaves / res**3)
+                record(f"{label} {res}³", category, 100 * leaves / res**3)
         finest = manifest.resolutions[-1]
         column = f"band {finest}³"
         if manifest.target == "tsdf" and len(columns[column][category]) < (band_samples or np.inf):
-            add(column, category, 100 * band_fraction(sample.octree(target_member(finest))))
+            record(column, category, 100 * band_fraction(sample.octree(target_member(finest))))
         for variant, res in product(fused, manifest.resolutions):
             error = mean_absolute_difference(sample.octree(input_member(variant, Encoding.TSDF, res)),
                                              sample.octree(target_member(res)))
-            add(f"MAD mm, {variant} {res}³", category, 1000 * manifest.truncation(res) * error)
+            record(f"MAD mm, {variant} {res}³", category, 1000 * manifest.truncation(res) * error)
     if not columns:
         raise OcnfError("no samples", code="empty", where=url, field="split", found=split)
     return columns
