@@ -136,6 +136,19 @@ def test_generation_with_workers(number, moment, manifest, tmp_path) -> None:
 
 
 @SIGNALS
+@pytest.mark.parametrize("command", ["verify", "watertight"])
+def test_other_commands_while_their_workers_start(number, command, data, tmp_path) -> None:
+    (tmp_path / "meshes").mkdir()
+    for i in range(8):
+        (tmp_path / f"meshes/{i}.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    arguments = [str(data)] if command == "verify" else [str(tmp_path / "meshes"), str(tmp_path / "out")]
+    run = start([sys.executable, "-m", "ocnf_data", command, *arguments, "--jobs", "2"])
+    lines = stop(run, number, lambda: len(children(run.pid)) > 0, to_all=number == signal.SIGINT)
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("stopped; ")
+
+
+@SIGNALS
 def test_training_with_a_loader_in_another_process(number, data, tmp_path) -> None:
     """After two epochs: their lines, then ours; nothing of leaked semaphores."""
     out = tmp_path / "run"

@@ -196,8 +196,9 @@ def _adopt(target: Store, settings: ExportSettings, identity: str) -> None:
         for setting, value in record.items():
             if known[setting] != value:
                 raise OcnfError("the folder holds an export of other settings", code="misfit",
-                                where=target.where(name), field=setting, found=value,
-                                expected=known[setting], fix="give the same settings, or another folder")
+                                where=target.where(name), field=setting, found=_said(value),
+                                expected=_said(known[setting]),
+                                fix="give the same settings, or another folder")
         return
     target.put_bytes(name, canonical_json(record))
 
@@ -266,3 +267,7 @@ def _write_lists(target: Store, listed: dict[str, list[tuple[str, str]]]) -> Non
         for category, keys in by_category.items():
             target.put_bytes(f"occupancy_networks/{category}/{split}.lst", "\n".join(keys).encode())
         target.put_bytes(f"deepsdf/{split}.json", json.dumps({"ocnf": by_category}, indent=1).encode())
+
+
+def _said(setting: object) -> object:
+    return "nothing" if setting is None else setting

@@ -11,9 +11,13 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TypeVar
+
+Value = TypeVar("Value")
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SECONDS_OF_GRACE = 2.0
@@ -85,6 +89,25 @@ def starting_processes() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         _listener.delays -= 1
         _listener.catch_up()
+
+
+@contextmanager
+def joblib_results(start: Callable[[], Generator[Value, None, None]]) -> Iterator[Iterator[Value]]:
+    """What joblib's workers return, for as long as the block lasts; leaving it early kills the workers.
+
+    Args:
+        start: calls a `Parallel` with `return_as="generator_unordered"`, which starts its processes.
+    """
+    results = None
+    try:
+        with starting_processes():
+            results = start()
+        yield results
+    finally:
+        if results is not None:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message=".*have been cancelled")
+                results.close()
 
 
 def ignore_interrupts() -> None:

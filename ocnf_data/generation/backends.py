@@ -12,12 +12,11 @@ import logging
 import os
 import threading
 import time
-import warnings
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from ocnf_data.errors import OcnfError, missing_extra
-from ocnf_data.files.interrupts import ignore_interrupts, starting_processes
+from ocnf_data.files.interrupts import ignore_interrupts, joblib_results
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, make_shard
 from ocnf_data.generation.worker.supervisor import close_supervisor_of_this_thread
 
@@ -70,23 +69,19 @@ def _loky(tasks: Sequence[ShardTask], jobs: int) -> Finished:
             # With a single job joblib would work in this process.
             parallel = Parallel(n_jobs=max(2, min(jobs, len(left))), backend="loky", batch_size=1,
                                 pre_dispatch="2*n_jobs", max_nbytes=None, return_as="generator_unordered")
-            with starting_processes():
-                results = parallel([delayed(_shard_or_error)(task, os.getpid()) for task in left.values()])
+            calls = [delayed(_shard_or_error)(task, os.getpid()) for task in left.values()]
             try:
-                for result in results:
-                    done = _raised(result)
-                    del left[done.name]
-                    deaths = 0
-                    yield done
+                with joblib_results(functools.partial(parallel, calls)) as results:
+                    for result in results:
+                        done = _raised(result)
+                        del left[done.name]
+                        deaths = 0
+                        yield done
             except BrokenProcessPool as error:
                 deaths += 1
                 if deaths >= _MAX_DEATHS:
                     raise OcnfError(f"worker processes keep dying ({type(error).__name__})", code="workers",
                                     fix="run with fewer --jobs: it is mostly memory that runs out") from error
-            finally:
-                with warnings.catch_warnings():
-                    warnings.filterwarnings("ignore", message=".*have been cancelled")
-                    results.close()  # left early, it kills the workers
         finished = True
     finally:
         # Not `reuse="auto"`: replacing the executor would wait for the shards in the making.

@@ -120,7 +120,8 @@ def generate(
         if before is not None:
             _compare(before, info, store)
         for name, data in files.items():
-            store.put_bytes(name, data)
+            if not (store.exists(name) and store.size(name) == len(data) and store.read_bytes(name) == data):
+                store.put_bytes(name, data)
         write_dataset(store, info)
     return Report(store.url, info.counts.items, info.counts.samples, failures, plan.exclusions, made,
                   sum(entry.size for _, entry in info.shards()), time.perf_counter() - begin,

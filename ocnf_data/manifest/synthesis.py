@@ -93,9 +93,14 @@ class Synthesis(Strict):
     """Least and largest number of input views, each number as likely."""
     sigma: Annotated[tuple[Annotated[Real, Field(ge=0, le=1)], Annotated[Real, Field(ge=0, le=1)]],
                      Range] = (0.0, 0.03)
-    """Range of the standard deviation of the depth noise, as a fraction of the depth."""
-    noise: Weights[NoiseModel] = Field(default={NoiseModel.GAUSSIAN: 1.0}, validate_default=False)
+    """Range of the standard deviation of the depth noise, as a fraction of the depth, of `park`."""
+    noise: Weights[NoiseModel] = Field(default={NoiseModel.PARK: 1.0}, validate_default=False)
     """The noise model: a name, or names with weights."""
+    strength: Annotated[tuple[Annotated[Real, Field(ge=0, le=10)], Annotated[Real, Field(ge=0, le=10)]],
+                        Range] = (1.0, 1.0)
+    """Range of the strength of `kinect`: 0 is no noise at all, 1 that of the sensor."""
+    metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
+    """Of `kinect`: real metres that a metre of the grid stands for."""
     repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
     """For so many epochs sample i keeps its mesh, rotation and scale, while its views, noise and symmetry are
     drawn anew. Its ground truth, most of the work, is then made once and kept in a cache."""

@@ -6,6 +6,7 @@ they cannot be looked into. Winding does not matter. Sheets without thickness ge
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError, missing_extra
-from ocnf_data.files.interrupts import ignore_interrupts, starting_processes
+from ocnf_data.files.interrupts import ignore_interrupts, joblib_results
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import fuse_tsdf
 from ocnf_data.meshes.formats import FORMATS
@@ -149,12 +150,11 @@ def _run(tasks: list[tuple[Path, Path]], resolution: int, level: float,
         raise missing_extra("several jobs need joblib", "generate") from error
     # loky gives each worker its share of the cores' threads.
     parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)), backend="loky", return_as="generator_unordered")
+    calls = [joblib.delayed(_in_worker)(path, target, resolution, level) for path, target in tasks]
     finished = False
     try:
-        with starting_processes():
-            results = parallel(joblib.delayed(_in_worker)(path, target, resolution, level)
-                               for path, target in tasks)
-        yield from results
+        with joblib_results(functools.partial(parallel, calls)) as results:
+            yield from results
         finished = True
     finally:
         if not finished:

@@ -14,7 +14,6 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.generation.records import Item
-from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.synthesis import Directions, Rotate
 from ocnf_data.shapes.draw import Draw
 from ocnf_data.synthesis.sources import Pool, Sources
@@ -48,17 +47,19 @@ class Look:
     Attributes:
         directions: (k, 3), of the cameras, as rigs have them.
         views: what tells the noise of one view from another's: numbers in the rig, or 0 .. k-1.
-        sigma: standard deviation of the noise, as a fraction of the depth.
         noise: model of the noise.
+        sigma: of `park`: its standard deviation, as a fraction of the depth.
+        strength: of `kinect`: 0 is none, 1 that of the sensor.
         seed, key: what the noise depends on beside the view (see `views.noise`).
     """
 
     directions: F64
     views: tuple[int, ...]
-    sigma: float
     noise: NoiseModel
     seed: int
     key: str
+    sigma: float = 0.0
+    strength: float = 1.0
 
 
 def season_of(epoch: int, repeat: int) -> int:
@@ -91,18 +92,14 @@ def draw_look(sources: Sources, seed: int, epoch: int, number: int) -> Look:
     how = _pick_name(draw, settings.directions)
     key = f"ocnf.synthesis {epoch} {number}"
     if how is Directions.SPHERE:
-        return Look(np.stack([_any_direction(draw) for _ in range(k)]), tuple(range(k)), sigma, model, seed,
-                    key)
-    n = camera.n_views
-    views = tuple(view_subset(n, k).tolist()) if how is Directions.RIG else _some_of(draw, n, k)
-    return rig_look(sources.manifest, views, sigma, model, seed, key)
-
-
-def rig_look(manifest: Manifest, views: tuple[int, ...], sigma: float, noise: NoiseModel, seed: int,
-             key: str) -> Look:
-    """The look from these views of the manifest's rig."""
-    directions = rig_from_name(manifest.camera.rig)[np.asarray(views)]
-    return Look(directions, views, sigma, noise, seed, key)
+        directions, views = np.stack([_any_direction(draw) for _ in range(k)]), tuple(range(k))
+    else:
+        n = camera.n_views
+        views = tuple(view_subset(n, k).tolist()) if how is Directions.RIG else _some_of(draw, n, k)
+        directions = rig_from_name(camera.rig)[np.asarray(views)]
+    if model is NoiseModel.KINECT:
+        return Look(directions, views, model, seed, key, strength=draw.between(*settings.strength))
+    return Look(directions, views, model, seed, key, sigma=sigma)
 
 
 def _pick_item(draw: Draw, pool: Pool, split: str) -> Item:

@@ -16,10 +16,13 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.generation.sample import fuse_input, fuse_truth, read_item, render_item
 from ocnf_data.manifest import Manifest
+from ocnf_data.manifest.synthesis import Synthesis
 from ocnf_data.meshes import Mesh, normalise
 from ocnf_data.octree.stored import TARGET, RawOctree, quantise
 from ocnf_data.synthesis.draw import Body, Look
-from ocnf_data.views.noise import observe_depth
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.noise import NoiseModel, add_noise, view_noise
+from ocnf_data.views.sensor import add_sensor_noise, sensor_draws
 
 Truths = dict[int, RawOctree]
 """By resolution."""
@@ -65,8 +68,22 @@ def make_inputs(manifest: Manifest, posed: Posed, look: Look, encoding: Encoding
                 resolutions: tuple[int, ...]) -> Truths:
     """The input, fused from the noisy views of the look."""
     views = render_item(manifest, posed.vertices, posed.mesh, look.directions)
-    depth = np.stack([observe_depth(look.noise, image, look.sigma, look.seed, look.key, view)
-                      for image, view in zip(views.depth, look.views, strict=True)])
-    pyramid = DepthPyramid(views.with_depth(depth))
+    pyramid = DepthPyramid(observe_look(views, look, manifest.synthesis or Synthesis()))
     return {resolution: quantise(fuse_input(manifest, pyramid, encoding, resolution), encoding)
             for resolution in resolutions}
+
+
+def observe_look(views: Views, look: Look, settings: Synthesis) -> Views:
+    """The views of a look with its noise."""
+    size = views.size
+    match look.noise:
+        case NoiseModel.KINECT:
+            depth = [add_sensor_noise(image, K, sensor_draws(look.seed, look.key, view, size), look.strength,
+                                      settings.metres)
+                     for image, K, view in zip(views.depth, views.K, look.views, strict=True)]
+        case NoiseModel.PARK if look.sigma > 0:
+            depth = [add_noise(image, look.sigma, view_noise(look.seed, look.key, view, size))
+                     for image, view in zip(views.depth, look.views, strict=True)]
+        case _:
+            return views
+    return views.with_depth(np.stack(depth))

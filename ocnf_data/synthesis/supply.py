@@ -13,6 +13,7 @@ from ocnf_data.synthesis.draw import Body, Look, draw_body, draw_look, season_of
 from ocnf_data.synthesis.sample import make_inputs, make_truths, pose
 from ocnf_data.synthesis.sources import Sources
 from ocnf_data.synthesis.truths import TruthCache
+from ocnf_data.views.noise import NoiseModel
 
 DRAWN_VARIANT = "synthesis"
 """What stands in a synthetic input's member name for the variant's."""
@@ -82,6 +83,6 @@ def _facts(key: str, body: Body, look: Look) -> dict[str, Any]:
     return {
         "key": key, "split": item.split, "category": item.category, "source": item.source,
         "rotation": None if body.rotation is None else body.rotation.tolist(), "scale": body.scale,
-        "directions": look.directions.tolist(), "views": list(look.views), "sigma": look.sigma,
-        "noise": str(look.noise),
+        "directions": look.directions.tolist(), "views": list(look.views), "noise": str(look.noise),
+        **({"sigma": look.sigma} if look.noise is NoiseModel.PARK else {"strength": look.strength}),
     }

@@ -20,27 +20,10 @@ from ocnf_data.errors import OcnfError
 class NoiseModel(StrEnum):
     """How a depth camera errs."""
 
-    GAUSSIAN = "gaussian"
-    """Every pixel by itself, in proportion to its depth (`add_noise`)."""
-
-
-def observe_depth(model: NoiseModel, depth: F32, sigma: float, seed: int, key: str, view: int) -> F32:
-    """One view as a camera measures it: the entry point to all noise models.
-
-    Args:
-        model: how the camera errs.
-        depth: (H, W) float32 metres, without noise; inf for free rays.
-        sigma: standard deviation as a fraction of the depth; 0 gives the depth as it is.
-        seed: see `view_noise`.
-        key: likewise.
-        view: likewise.
-
-    Returns:
-        (H, W) float32.
-    """
-    if sigma == 0:
-        return depth
-    return add_noise(depth, sigma, view_noise(seed, key, view, (depth.shape[0], depth.shape[1])))
+    PARK = "park"
+    """Every pixel by itself, in proportion to its depth (`views.noise`)."""
+    KINECT = "kinect"
+    """As a structured-light sensor does (`views.sensor`)."""
 
 
 def view_noise(seed: int, key: str, view: int, size: tuple[int, int]) -> F32:

@@ -102,6 +102,7 @@ class _Row(Strict):
     val_iou: Annotated[Real, Field(ge=0, le=1)]
     seconds: _Total
     best: Annotated[bool, Field(strict=True)]
+    val_f_score: Annotated[Real, Field(ge=0, le=1)] | None = None
 
 
 class _Header(Strict):

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.export import export_dataset
+from ocnf_data.export import export_dataset, surface_points
 from ocnf_data.export.settings import ExportFormat, ExportSettings
 from ocnf_data.files.storage import Store
 from ocnf_data.meshes import read_mesh
 from ocnf_data.meshes.topology import is_watertight
+from ocnf_data.octree import GridOctree
+from ocnf_data.octree.triangles import cell_triangles
 
 # Of a surface cut out of 64^3 voxels of 47 mm: linear interpolation of a curved field, and float16.
 CLOSE = 0.002
@@ -96,6 +98,22 @@ def test_surface_points_are_spread_by_area(points: Path, known: SimpleNamespace)
     # Archimedes: each coordinate on a sphere is uniform in [-1, 1]; 4 standard errors, and some for the cut.
     for power, mean in ((1, 0), (2, 1 / 3), (4, 1 / 5)):
         assert np.abs((direction ** power).mean(axis=0) - mean).max() < 4 * 0.6 / N ** 0.5
+
+
+def test_surface_points_are_uniform_on_every_triangle(known: SimpleNamespace) -> None:
+    """Against closed forms of its moments, on a surface of 8^3 voxels: triangles of all sizes."""
+    tsdf = GridOctree.from_dense(known.field(known.ball, 8))
+    points, _ = surface_points(tsdf, 200_000, np.random.default_rng(3), known.extent)
+    corners = cell_triangles(tsdf, known.extent).triangles.astype(np.float64)
+    edges = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    assert area.max() > 10 * area[area > 0].min()
+    total = corners.sum(axis=1)
+    moments = {1: total / 3, 2: (total ** 2 + (corners ** 2).sum(axis=1)) / 12}
+    for power, of_triangles in moments.items():
+        expected = np.average(of_triangles, axis=0, weights=area)
+        error = (points ** power).mean(axis=0) - expected
+        assert (np.abs(error) < 4.5 * (points ** power).std(axis=0) / len(points) ** 0.5).all()
 
 
 def test_loc_and_scale_lead_back_to_the_mesh_file(points: Path, known: SimpleNamespace) -> None:

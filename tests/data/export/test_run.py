@@ -45,6 +45,29 @@ def test_points_of_a_stopped_run_are_made_whole(shapes: Store, tmp_path: Path) -
     assert files(out) == whole
 
 
+@pytest.mark.parametrize("format_", ["points", "mesh"])
+def test_a_sample_that_was_interrupted_is_made_again(shapes: Store, tmp_path: Path, format_: str,
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stopped after the first of a sample's files, by which the sample must not count as done."""
+    options = {"points": 50} if format_ == "points" else {}
+    export_dataset(shapes.url, tmp_path / "whole", format_, splits=["test"], **options)
+    put, names = Store.put_bytes, []
+
+    def stop(store: Store, name: str, data: bytes) -> None:
+        names.append(name)
+        if len(names) == 3:  # the record, the first file, and now the second
+            raise KeyboardInterrupt
+        put(store, name, data)
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Store, "put_bytes", stop)
+        export_dataset(shapes.url, out, format_, splits=["test"], **options)
+    report = export_dataset(shapes.url, out, format_, splits=["test"], **options)
+    assert (report.written, report.kept) == (1, 0)
+    assert files(out) == files(tmp_path / "whole")
+
+
 def test_other_settings_or_another_data_set_are_refused(shapes: Store, tmp_path: Path) -> None:
     out = tmp_path / "out"
     export_dataset(shapes.url, out, "points", points=50, limit=1)

@@ -15,9 +15,10 @@ from ocnf_data.generation.plan import make_plan
 from ocnf_data.generation.sample import make_sample
 from ocnf_data.octree.codec import decode_raw
 from ocnf_data.shards.tarformat import input_member, target_member
-from ocnf_data.synthesis.draw import Body, rig_look
+from ocnf_data.synthesis.draw import Body, Look
 from ocnf_data.synthesis.sample import make_inputs, make_truths, pose
 from ocnf_data.views.noise import NoiseModel
+from ocnf_data.views.rigs import rig_from_name
 
 
 def open_set(manifest: Any, **arguments: Any) -> SynthesisDataset:
@@ -31,19 +32,23 @@ def contents(batch: Any) -> tuple[Any, ...]:
 
 
 def test_with_a_generated_sample_s_pose_views_and_noise_it_is_that_sample_bit_for_bit(small):
-    manifest = small()
+    manifest = small({"metres": 0.5}, inputs=[
+        {"name": "v4", "views": 4, "sigma": 0.02, "encodings": list(Encoding)},
+        {"name": "v1", "views": 1, "encodings": ["histogram"]},
+        {"name": "k3", "views": 3, "noise": "kinect", "strength": 0.7, "metres": 0.5, "encodings": ["tsdf"]}])
     for item in make_plan(manifest, None).items[:4]:
         generated = make_sample(manifest, item).members
-        variant = manifest.inputs[0]
-        look = rig_look(manifest, manifest.view_indices(variant), variant.sigma, NoiseModel.GAUSSIAN,
-                        manifest.seed, item.key)
         posed = pose(manifest, Body(item), None)
         pairs = [(target_member(resolution), octree)
                  for resolution, octree in make_truths(manifest, posed, manifest.resolutions).items()]
-        for encoding in Encoding:
-            made = make_inputs(manifest, posed, look, encoding, manifest.resolutions)
-            pairs += [(input_member(variant.name, encoding, resolution), octree)
-                      for resolution, octree in made.items()]
+        for variant in manifest.inputs:
+            views = manifest.view_indices(variant)
+            look = Look(rig_from_name(manifest.camera.rig)[list(views)], views, NoiseModel(variant.noise),
+                        manifest.seed, item.key, variant.sigma, variant.strength)
+            for encoding in variant.encodings:
+                made = make_inputs(manifest, posed, look, encoding, manifest.resolutions)
+                pairs += [(input_member(variant.name, encoding, resolution), octree)
+                          for resolution, octree in made.items()]
         assert {name for name, _ in pairs} == set(generated) - {"json"}
         for name, octree in pairs:
             stored = decode_raw(generated[name])

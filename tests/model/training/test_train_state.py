@@ -29,7 +29,7 @@ def halfway(tiny, small, tmp_path_factory) -> tuple[dict[str, bytes], dict[str, 
     class StopError(Exception):
         pass
 
-    def stop(self: Any, rows: Any) -> None:
+    def stop(self: Any, rows: Any, *told: Any) -> None:
         if len(rows) == 2:
             raise StopError
 
