@@ -23,8 +23,8 @@ Round it to the next one.
         field: the field, member or axis in it.
         found: the offending value (shortened to 200 characters).
         expected: what would have been right.
-        fix: what the user can do about it, as a clause; with the code `missing_extra` the command that
-            installs it, which the message then has on a line of its own.
+        fix: what the user can do about it, as a clause, perhaps with a command on a line of its own, to be
+            pasted; with the code `missing_extra` that command alone.
     """
 
     def __init__(
@@ -57,6 +57,8 @@ Round it to the next one.
         text = head + ("; " + ", ".join(facts) if facts else "")
         if self.fix and self.code == "missing_extra":
             text += f". Install it:\n{self.fix}"  # a command, on a line of its own, as it is to be pasted
+        elif self.fix and "\n" in self.fix:
+            text += f". {self.fix[:1].upper()}{self.fix[1:]}"
         elif self.fix:
             text += f". {self.fix[:1].upper()}{self.fix[1:]}."
         return text

@@ -97,8 +97,8 @@ def draw_sample(
             ax = next(places)
             ax.set_axis_on()
             draw_slice(ax, octree, _AXIS, at, kind, window)
-            shown = f", cropped to {window.width} of {res} voxels" if window else ""
-            ax.set_title(f"{what}, {res}³, y = {at}{shown}\n{_leaves(octree)}", fontsize=10)
+            shown = f"\ncropped: {window.width} of {res} voxels across" if window else ""
+            ax.set_title(f"{what}, {res}³, y = {at}\n{_leaves(octree)}{shown}", fontsize=10)
     facts = sample.facts
     lines = [f"split {sample.split}, category {facts['category']}", f"source {facts['source']}", "",
              f"depth: {limits[0]:.2f} to {limits[1]:.2f} m; white is a free ray, red no measurement", "",

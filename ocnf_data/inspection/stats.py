@@ -94,11 +94,15 @@ def print_table(columns: Columns, console: Console) -> None:
     title = "means, in % of the voxels (coverage: of the pixels)"
     while left:
         shown = left
-        while len(shown) > 1 and \
-                console.measure(_table(columns, grouped, shown, title)).maximum > console.width:
+        while len(shown) > 1 and _width(_table(columns, grouped, shown, title), console) > console.width:
             shown = shown[:-1]
         console.print(_table(columns, grouped, shown, title))
         left, title = left[len(shown):], "continued"
+
+
+def _width(table: Table, console: Console) -> int:
+    """Characters that a table would take if there were room enough."""
+    return console.measure(table, options=console.options.update(width=10_000)).maximum
 
 
 def _table(columns: Columns, grouped: dict[str, list[str]], labels: list[str], title: str) -> Table:
