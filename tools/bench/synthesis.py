@@ -1,6 +1,6 @@
 """Seconds that a drawn sample costs at each level, beside a training step's share of one.
 
-    python tools/bench/synthesis.py manifests/pretrained.yaml --meshes ROOT --samples 20
+    python tools/bench/synthesis.py manifests/general.yaml --meshes ROOT --samples 20
 
 "fresh" makes mesh, 80 views, ground truth and input; "again" is a later epoch of a season (`repeat`), whose
 ground truth lies in the cache: the mesh, the input's views, and its fusion. A step is one batch of the
