@@ -49,7 +49,7 @@ def run(code, folder):
 
 @pytest.mark.parametrize("page", ["README.md", "docs/loading.md"])
 def test_the_loader_goes_on_where_its_state_says(folder, page):
-    [loading] = blocks(page, "ShardDataset")
+    [loading] = blocks(page, "dataset.state_dict(batch)")
     shapes = "print(*octrees.trees.shape, octrees.to_float().shape[1], len(truth.grids()), state['step'])"
     assert run(loading + shapes, folder) == ["4", "8", "8", "8", "2", "10", "4", "0"]
 
