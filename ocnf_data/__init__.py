@@ -15,6 +15,7 @@ _HOME = {
     "MixtureDataset": "loading.mixture",
     "OcnfError": "errors",
     "Report": "generation",
+    "Scan": "views.scans",
     "ShardDataset": "loading.dataset",
     "SynthesisDataset": "synthesis.dataset",
     "Views": "views.cameras",
@@ -24,6 +25,8 @@ _HOME = {
     "fuse_tsdf": "fusion",
     "generate": "generation",
     "load_manifest": "manifest",
+    "octree_surface": "octree.surface",
+    "read_scan": "views.scans",
     "render_depth": "render",
 }
 
@@ -32,6 +35,7 @@ __all__ = [
     "MixtureDataset",
     "OcnfError",
     "Report",
+    "Scan",
     "ShardDataset",
     "SynthesisDataset",
     "Views",
@@ -42,6 +46,8 @@ __all__ = [
     "fuse_tsdf",
     "generate",
     "load_manifest",
+    "octree_surface",
+    "read_scan",
     "render_depth",
 ]
 
@@ -53,9 +59,11 @@ if TYPE_CHECKING:
     from ocnf_data.loading.mixture import MixtureDataset
     from ocnf_data.manifest import load_manifest
     from ocnf_data.octree import GridOctree
+    from ocnf_data.octree.surface import octree_surface
     from ocnf_data.render import render_depth
     from ocnf_data.synthesis.dataset import SynthesisDataset
     from ocnf_data.views.cameras import Views
+    from ocnf_data.views.scans import Scan, read_scan
 
 
 def __getattr__(name: str) -> Any:

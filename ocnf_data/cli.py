@@ -1,4 +1,4 @@
-"""`ocnf-data`: generate, verify, inspect, repair and export data sets.
+"""`ocnf-data`: begin, generate, verify, inspect, repair and export data sets.
 
 A command imports what it needs when it runs, so that `--help` answers at once.
 """
@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.export.settings import Coordinates, ExportFormat
-from ocnf_data.terminal import print_error, run_app, stoppable
+from ocnf_data.inspection.commands import check_command, show_command, stats_command
+from ocnf_data.terminal import print_error, run_app, show_version, stoppable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,21 +50,43 @@ Jobs = Annotated[int, typer.Option(
     help="Worker processes, each using one core and up to 0.7 GB.")]
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        from ocnf_data.version import __version__
-
-        _out.print(f"ocnf {__version__}", highlight=False)
-        raise typer.Exit
-
-
 @app.callback()
 def _options(debug: Annotated[bool, typer.Option(
         "--debug", help="Show where in the code an error was raised.")] = False,
         version: Annotated[bool, typer.Option(
-            "--version", callback=_show_version, is_eager=True, help="Show the version.")] = False) -> None:
+            "--version", callback=show_version, is_eager=True, help="Show the version.")] = False) -> None:
     global _debug
     _debug = debug
+
+
+@app.command("manifests")
+def manifests_command() -> None:
+    """List the manifests that come along: `ocnf-data init NAME` writes one to edit."""
+    from ocnf_data.manifest.shipped import shipped_manifests
+    from ocnf_data.terminal import narrow_table
+
+    table = narrow_table("ocnf-data init NAME writes one to edit")
+    table.padding = (0, 1)
+    for title in ("name", "needs", "what it is"):
+        table.add_column(title, no_wrap=title != "what it is", overflow="fold")
+    for shipped in shipped_manifests():
+        table.add_row(shipped.name, "--meshes" if shipped.needs_meshes else "no files", escape(shipped.says))
+    _out.print(table)
+
+
+@app.command("init")
+def init_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="One of `ocnf-data manifests`.")] = "meshes",
+    out: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="The file to write; never one that is there already. [NAME.yaml]")] = None,
+) -> None:
+    """Write a manifest to edit. [meshes: every mesh in a folder of your own]"""
+    from ocnf_data.manifest.shipped import shipped_manifests, write_manifest
+
+    path = write_manifest(name, out)
+    meshes = next(one.needs_meshes for one in shipped_manifests() if one.name == name.removesuffix(".yaml"))
+    _out.print(f"{path}: edit it, then  ocnf-data generate {path}{' --meshes DIR' * meshes} --out OUT",
+               highlight=False, markup=False, soft_wrap=True)
 
 
 @app.command("generate")
@@ -118,11 +142,23 @@ def verify_command(folder: Folder, jobs: Jobs) -> None:
 
 @app.command("info")
 @stoppable(_err, "nothing was changed")
-def dataset_info_command(folder: Folder) -> None:
+def dataset_info_command(
+    folder: Folder,
+    samples: Annotated[bool, typer.Option("--samples", help="List the samples' keys, one a line.")] = False,
+) -> None:
     """Show what is in a data set: samples, sizes, leaves, fingerprint. Reads no shard, only indices."""
+    from ocnf_data.inspection.choose import sample_keys
     from ocnf_data.verify.summary import describe, print_summary
 
-    print_summary(describe(folder), _out)
+    if samples:
+        _out.print("\n".join(sample_keys(folder)), highlight=False, markup=False, soft_wrap=True)
+    else:
+        print_summary(describe(folder), _out)
+
+
+app.command("show")(stoppable(_err, "what is drawn stays")(show_command))
+app.command("stats")(stoppable(_err, "nothing was changed")(stats_command))
+app.command("check")(stoppable(_err, "nothing was changed")(check_command))
 
 
 @app.command("repair")
@@ -155,7 +191,8 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
             lost.append(shard)
     if lost:
         # Whatever stands in the way of making them again is said before anything is set aside.
-        adopt(Store(folder), make_plan(manifest, manifest.meshes_root(meshes)))
+        root = manifest.meshes_root(meshes)
+        adopt(Store(folder), make_plan(manifest, root), lambda: make_plan(manifest.by_chance_alone(), root))
         for shard in lost:
             for name in quarantine(folder, shard.path):
                 _out.print(f"set aside as {name}", highlight=False)

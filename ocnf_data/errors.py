@@ -23,7 +23,8 @@ Round it to the next one.
         field: the field, member or axis in it.
         found: the offending value (shortened to 200 characters).
         expected: what would have been right.
-        fix: what the user can do about it, as a clause.
+        fix: what the user can do about it, as a clause, perhaps with a command on a line of its own, to be
+            pasted; with the code `missing_extra` that command alone.
     """
 
     def __init__(
@@ -54,7 +55,11 @@ Round it to the next one.
         if self.expected is not None:
             facts.append(f"expected {self.expected}")
         text = head + ("; " + ", ".join(facts) if facts else "")
-        if self.fix:
+        if self.fix and self.code == "missing_extra":
+            text += f". Install it:\n{self.fix}"  # a command, on a line of its own, as it is to be pasted
+        elif self.fix and "\n" in self.fix:
+            text += f". {self.fix[:1].upper()}{self.fix[1:]}"
+        elif self.fix:
             text += f". {self.fix[:1].upper()}{self.fix[1:]}."
         return text
 
@@ -62,6 +67,21 @@ Round it to the next one.
         """Keep every part when the error crosses a process boundary (pickle would call `cls(message)`)."""
         state = (self.what, self.code, self.where, self.field, self.found, self.expected, self.fix)
         return _rebuild, (type(self), *state)
+
+
+def missing_extra(what: str, extra: str, where: object = None) -> OcnfError:
+    """The error for a library that is not installed, with the command that installs it as its last line.
+
+    >>> print(missing_extra("reading images needs OpenCV", "fuse"))
+    reading images needs OpenCV. Install it:
+    pip install 'ocnf[fuse]'
+
+    Args:
+        what: what needs which library, as a clause.
+        extra: the extra of this package that has it.
+        where: the file or URL concerned.
+    """
+    return OcnfError(what, code="missing_extra", where=where, fix=f"pip install 'ocnf[{extra}]'")
 
 
 def _rebuild(cls: type[OcnfError], what: str, code: str, where: str | None, field: str | None,

@@ -1,4 +1,4 @@
-"""What the command lines and tools share: an error or an interrupt is one sentence; narrow tables.
+"""What the command lines share: an error or an interrupt is one sentence; the version; narrow tables.
 
 An error ends a command with exit status 1, Ctrl-C with 130, SIGTERM with 143.
 """
@@ -19,6 +19,7 @@ from rich.table import Table
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files import interrupts
+from ocnf_data.version import __version__
 
 P = ParamSpec("P")
 
@@ -62,6 +63,13 @@ def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> No
         sys.exit(1)
     except KeyboardInterrupt:  # before the command began, or after it ended
         sys.exit(interrupts.exit_status())
+
+
+def show_version(wanted: bool) -> None:
+    """What `--version` of either command line does."""
+    if wanted:
+        typer.echo(f"ocnf {__version__}")
+        raise typer.Exit
 
 
 def narrow_table(title: str) -> Table:

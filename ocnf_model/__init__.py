@@ -12,9 +12,12 @@ _HOME = {
     "OctNetFusion": "network",
     "OctreeBatch": "octree.batch",
     "OctreeConv3d": "ops",
+    "Reconstruction": "scan.reconstruction",
+    "TrainedNetwork": "scan.load",
     "concat": "ops",
     "grid_pool": "ops",
     "grid_unpool": "ops",
+    "load_network": "scan.load",
     "split_surface": "ops",
 }
 
@@ -22,9 +25,12 @@ __all__ = [
     "OctNetFusion",
     "OctreeBatch",
     "OctreeConv3d",
+    "Reconstruction",
+    "TrainedNetwork",
     "concat",
     "grid_pool",
     "grid_unpool",
+    "load_network",
     "split_surface",
 ]
 
@@ -32,6 +38,8 @@ if TYPE_CHECKING:
     from ocnf_model.network import OctNetFusion
     from ocnf_model.octree.batch import OctreeBatch
     from ocnf_model.ops import OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
+    from ocnf_model.scan.load import TrainedNetwork, load_network
+    from ocnf_model.scan.reconstruction import Reconstruction
 
 
 def __getattr__(name: str) -> Any:

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ocnf_data.terminal import run_app, stoppable
+from ocnf_data.terminal import run_app, show_version, stoppable
 from ocnf_model.evaluation.methods import Method
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -34,7 +34,9 @@ Device = Annotated[str, typer.Option(metavar="NAME", help="The device to run on:
 
 @app.callback()
 def _options(debug: Annotated[bool, typer.Option(
-        "--debug", help="Show where in the code an error was raised.")] = False) -> None:
+        "--debug", help="Show where in the code an error was raised.")] = False,
+        version: Annotated[bool, typer.Option(
+            "--version", callback=show_version, is_eager=True, help="Show the version.")] = False) -> None:
     global _debug
     _debug = debug
 

@@ -44,7 +44,8 @@ def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
     n_parameters = sum(parameter.numel() for parameter in network.parameters())
     for title, footer in (("layer", "all"), ("voxels", ""), ("channels", ""), ("weight", ""),
                           ("parameters", f"{n_parameters:,}")):
-        table.add_column(title, footer, justify="left" if title == "layer" else "right")
+        table.add_column(title, footer, justify="left" if title == "layer" else "right",
+                         overflow="fold")
     level_before = "0"
     for name, module in network.named_modules():
         if not isinstance(module, OctreeConv3d | nn.Conv3d | nn.Linear):
@@ -67,7 +68,7 @@ def training_table(trained: TrainedRun) -> Table:
     table = Table(title=f"best checkpoints, by {measure} of the validation samples")
     columns = ["level", "resolution", "epoch", "steps", *trained.headers[0].metrics]
     for title in columns:
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", overflow="fold")
     for header in trained.headers:
         table.add_row(str(header.level), f"{header.resolution}³", str(header.epoch), str(header.steps),
                       *(f"{value:.4g}" for value in header.metrics.values()))

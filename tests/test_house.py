@@ -26,8 +26,8 @@ ARROWS = {
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
         "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.files ocnf_data.generation "
-        "ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal ocnf_data.verify "
-        "ocnf_data.version",
+        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal "
+        "ocnf_data.verify",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
@@ -41,6 +41,10 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.scenes "
         "ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
+    "ocnf_data.inspection":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
+        "ocnf_data.views",
     "ocnf_data.loading":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree "
         "ocnf_data.shards",
@@ -61,11 +65,11 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.meshes ocnf_data.octree "
         "ocnf_data.shapes ocnf_data.shards ocnf_data.views",
-    "ocnf_data.terminal": "ocnf_data.errors ocnf_data.files",
+    "ocnf_data.terminal": "ocnf_data.errors ocnf_data.files ocnf_data.version",
     "ocnf_data.verify": "ocnf_data.errors ocnf_data.files ocnf_data.octree ocnf_data.shards",
     "ocnf_data.version": "",
     "ocnf_data.views": "ocnf_data.arrays ocnf_data.errors ocnf_data.files",
-    "ocnf_model": "ocnf_model.network ocnf_model.octree ocnf_model.ops",
+    "ocnf_model": "ocnf_model.network ocnf_model.octree ocnf_model.ops ocnf_model.scan",
     "ocnf_model.baselines":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.metrics",
     "ocnf_model.checkpoint":
@@ -109,7 +113,7 @@ FLOORS = (
     (),
     ("ocnf_data.generation", "ocnf_data.synthesis", "ocnf_model.training", "ocnf_model.evaluation",
      "ocnf_model.scan"),
-    ("ocnf_data.doctor", "ocnf_model.info"),
+    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info"),
     ("ocnf_data.cli", "ocnf_model.cli"),
     ("ocnf_data.__main__", "ocnf_data", "ocnf_model"),
 )

@@ -1,15 +1,21 @@
 """The Python that the README and the pages print runs as printed."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest
+from ocnf_data.render import render_depth
+from ocnf_data.views.rigs import intrinsics, look_from, rig_from_name
 from ocnf_model.training.settings import read_settings
 
 ROOT = Path(__file__).parent.parent
@@ -43,7 +49,7 @@ def run(code, folder):
 
 @pytest.mark.parametrize("page", ["README.md", "docs/loading.md"])
 def test_the_loader_goes_on_where_its_state_says(folder, page):
-    [loading] = blocks(page, "ShardDataset")
+    [loading] = blocks(page, "dataset.state_dict(batch)")
     shapes = "print(*octrees.trees.shape, octrees.to_float().shape[1], len(truth.grids()), state['step'])"
     assert run(loading + shapes, folder) == ["4", "8", "8", "8", "2", "10", "4", "0"]
 
@@ -60,6 +66,46 @@ def test_a_scan_as_the_page_lays_it_out_is_read_and_fused(tmp_path):
     look = ("line = octree.to_dense()[0, :, 32, 32]\n"
             "print(len(views), *(f'{value:.3f}' for value in line[[8, 31, 32, 40]]))")
     assert run(writing + look, tmp_path) == ["2", "1.000", "0.156", "-0.156", "-1.000"]
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """A folder with a scan SCAN, and its frames as arrays: a ball of 0.4 m seen from eight sides."""
+    folder = tmp_path_factory.mktemp("frames")
+    scan = folder / "SCAN"
+    scan.mkdir()
+    K, size = intrinsics(120, 120, 47.5, 35.5), (72, 96)
+    R, T = look_from(rig_from_name("fibonacci8"), 1.2)
+    ball = trimesh.creation.icosphere(3, 0.4)
+    depth = render_depth(ball.vertices, ball.faces, K, R, T, size)
+    depth[np.isinf(depth)] = 0
+    np.savetxt(scan / "camera-intrinsics.txt", K)
+    poses = np.tile(np.eye(4), (8, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = R.transpose(0, 2, 1), -np.einsum("vji,vj->vi", R, T)
+    for i in range(8):
+        cv2.imwrite(str(scan / f"frame-{i}.depth.png"), (1000 * depth[i]).round().astype(np.uint16))
+        np.savetxt(scan / f"frame-{i}.pose.txt", poses[i])
+    np.savez(folder / "frames.npz", depth=depth, K=K, poses=poses)
+    return folder
+
+
+RADIUS = ("import numpy as np; radius = np.linalg.norm(result.vertices, axis=1); "
+          "print(list(result.octrees), round(float(np.median(radius)), 2))")
+
+
+def test_frames_become_a_surface_in_five_lines(frames):
+    [code] = blocks("README.md", "load_network")
+    assert len([line for line in code.splitlines() if line]) == 5
+    assert "".join(run(code + RADIUS, frames)) == "[64,128,256]0.4"
+    assert len(trimesh.load(frames / "mesh.ply").faces) > 10_000
+
+
+def test_the_page_on_deploying_runs(frames):
+    [code] = blocks("docs/deploy.md", "load_network")
+    given = "import numpy as np; depth, K, poses = np.load('frames.npz').values()\n"
+    (frames / "RUN").mkdir()
+    shutil.copy(ROOT / "ocnf_model/pretrained/level-1.safetensors", frames / "RUN")  # nothing else is needed
+    assert "".join(run(given + code + RADIUS, frames)) == "[64]0.4"
 
 
 def test_a_mesh_becomes_octrees(tmp_path):

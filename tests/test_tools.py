@@ -1,6 +1,7 @@
 """The tools see what is right, and what is wrong, in a small data set."""
 
 import io
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
+from ocnf_data.inspection import check as physics
+from ocnf_data.inspection import stats
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards import browse
@@ -35,7 +39,7 @@ def data(tmp_path_factory):
 
 def run(tool, *args, status=0):
     done = subprocess.run([sys.executable, TOOLS / tool, *map(str, args)], capture_output=True, text=True,
-                          env={"COLUMNS": "200", "PATH": ""}, check=False)
+                          env={**os.environ, "COLUMNS": "200", "PYTHONPATH": str(TOOLS.parent)}, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     return done.stdout + done.stderr
 
@@ -49,7 +53,7 @@ def test_samples_are_found_and_decoded(data):
 
 
 def test_a_missing_sample_is_named(data):
-    with pytest.raises(browse.OcnfError, match="no such sample") as error:
+    with pytest.raises(OcnfError, match="no such sample") as error:
         find_sample(str(data), "sofa-1")
     assert error.value.field == "sofa-1"
 
@@ -70,9 +74,6 @@ def test_what_generation_wrote_is_physically_right(data):
 ])
 def test_an_octree_that_is_wrong_is_noticed(data, member, spoil, check, monkeypatch):
     """The spoilt octree is stored as well as a right one: only physics can tell."""
-    monkeypatch.syspath_prepend(str(TOOLS))
-    import check_shards
-
     right = StoredSample.octree
 
     def octree(sample, name):
@@ -82,26 +83,23 @@ def test_an_octree_that_is_wrong_is_noticed(data, member, spoil, check, monkeypa
     monkeypatch.setattr(StoredSample, "octree", octree)
     sample = next(stored_samples(str(data)))
     manifest = Manifest.from_dict(browse.load_dataset(str(data)).manifest)
-    checks = check_shards.check_sample(sample, manifest, None, 4000, 0)
+    checks = physics.check_sample(sample, manifest, None, 4000, 0)
     wrong = {(c.member, c.check) for c in checks if not c.ok}
     assert (member, check) in wrong
     assert {name for name, _ in wrong} == {member}
 
 
-def test_values_out_of_range_are_noticed(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-    import check_shards
-
+def test_values_out_of_range_are_noticed():
     from ocnf_data.encodings import Encoding
 
     def octree(*values):
         return GridOctree(np.zeros((1, 1, 1, 2), np.uint64), np.float32([values]))
 
-    assert check_shards.check_range(octree(-1), Encoding.TSDF)[1]
-    assert not check_shards.check_range(octree(-1.01), Encoding.TSDF)[1]
-    assert not check_shards.check_range(octree(-0.5), Encoding.OCCUPANCY)[1]
-    assert check_shards.check_range(octree(*[0.1] * 10), Encoding.HISTOGRAM)[1]
-    assert not check_shards.check_range(octree(*[0.11] * 10), Encoding.HISTOGRAM)[1]
+    assert physics.check_range(octree(-1), Encoding.TSDF)[1]
+    assert not physics.check_range(octree(-1.01), Encoding.TSDF)[1]
+    assert not physics.check_range(octree(-0.5), Encoding.OCCUPANCY)[1]
+    assert physics.check_range(octree(*[0.1] * 10), Encoding.HISTOGRAM)[1]
+    assert not physics.check_range(octree(*[0.11] * 10), Encoding.HISTOGRAM)[1]
 
 
 def test_a_mesh_that_has_changed_is_refused(data):
@@ -110,7 +108,7 @@ def test_a_mesh_that_has_changed_is_refused(data):
     from ocnf_data.generation.remake import remake
 
     facts = {**sample.facts, "mesh": {**sample.facts["mesh"], "sha256": "0" * 64}}
-    with pytest.raises(browse.OcnfError) as error:
+    with pytest.raises(OcnfError) as error:
         remake(manifest, facts)
     assert error.value.code == "changed"
 
@@ -126,11 +124,8 @@ def test_pictures_and_statistics_are_drawn(data, tmp_path):
     assert cv2.imread(str(tmp_path / "stats.png")).shape[1] > 600
 
 
-def test_statistics_are_those_of_the_dense_volumes(data, monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-    import shard_stats
-
-    columns = shard_stats.collect(str(data), "train", band_samples=0, mad=True)
+def test_statistics_are_those_of_the_dense_volumes(data):
+    columns = stats.collect(str(data), "train", band_samples=0, mad=True)
     samples = list(stored_samples(str(data)))
     truth = [sample.octree("target-64.oct").to_dense() for sample in samples]
     noisy = [sample.octree("v3-tsdf-64.oct").to_dense() for sample in samples]

@@ -12,11 +12,12 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from shard_stats import collect, draw, print_table
-from show_sample import draw_sample, pick
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
+from ocnf_data.inspection.choose import pick
+from ocnf_data.inspection.show import draw_sample
+from ocnf_data.inspection.stats import collect, draw, print_table
 from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.terminal import print_error
@@ -69,11 +70,11 @@ def main(
             raise typer.Exit(status)
         step(f"3. What is in it: ocnf-data info {data}")
         print_summary(describe(str(data)), console)
-        step("4. Statistics by category: python tools/shard_stats.py")
+        step(f"4. Statistics by category: ocnf-data stats {data}")
         columns = collect(str(data), None, 1)
-        print_table(columns)
+        print_table(columns, console)
         draw(columns, out / "pictures" / "statistics.png")
-        step("5. Pictures: python tools/show_sample.py")
+        step(f"5. Pictures: ocnf-data show {data}")
         for sample in [*pick(str(data), [], 0, 0), *pick(str(data), [], 3, seed=1)]:
             path = out / "pictures" / f"{sample.key}.png"
             if not path.exists():
@@ -91,7 +92,7 @@ def main(
         print_error(str(error), Console(stderr=True))
         raise typer.Exit(1) from None
     console.print(f"\n[green]Done in {time.perf_counter() - begin:.0f} s.[/] Look at {out / 'pictures'}; "
-                  f"check the physics with: python tools/check_shards.py {data}"
+                  f"check the physics with: ocnf-data check {data}"
                   + (f" --meshes {meshes}" if meshes else ""))
 
 

@@ -14,7 +14,7 @@ from itertools import islice
 from typing import NamedTuple, cast
 
 from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.export.dense import dense_files
 from ocnf_data.export.mesh import mesh_files
 from ocnf_data.export.points import points_files
@@ -213,8 +213,7 @@ def _run(source: Store, target: Store, settings: ExportSettings, tasks: list[_Ta
     try:
         import joblib
     except ImportError as error:
-        raise OcnfError("several jobs need joblib", code="missing_extra",
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("several jobs need joblib", "generate") from error
     parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)), backend="loky", return_as="generator")
     found = parallel(joblib.delayed(_export_all)(source, target, settings, task,
                                                  _of_task(there, settings, task)) for task in tasks)

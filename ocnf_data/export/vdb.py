@@ -34,9 +34,9 @@ def openvdb() -> Any:
             return importlib.import_module(name)
         except ImportError as error:  # missing, or built for another numpy
             failures.append(str(error))
-    raise OcnfError("OpenVDB grids need OpenVDB's Python module, which is not on PyPI", code="missing_extra",
-                    where="export", field="format", found="; ".join(failures),
-                    fix="install it: `conda install -c conda-forge openvdb`, or python3-openvdb of Debian")
+    raise OcnfError("OpenVDB grids need OpenVDB's Python module, which is not on PyPI (Debian has it as "
+                    "python3-openvdb)", code="missing_extra", where="export", field="format",
+                    found="; ".join(failures), fix="conda install -c conda-forge openvdb")
 
 
 def vdb_grids(sample: ExportSample) -> list[Any]:

@@ -23,7 +23,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, cast
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -293,8 +293,8 @@ class Store:
         try:
             return fsspec.filesystem(self.protocol)
         except ImportError as error:
-            raise OcnfError(f"{self.protocol}:// needs a library that is not installed ({error})",
-                            code="missing_extra", where=self.url, fix="pip install 'ocnf[remote]'") from error
+            raise missing_extra(f"{self.protocol}:// needs a library that is not installed ({error})",
+                                "remote", self.url) from error
 
     @cached_property
     def _remote_root(self) -> str:

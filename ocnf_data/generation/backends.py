@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.interrupts import ignore_interrupts, joblib_results
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, make_shard
 from ocnf_data.generation.worker.supervisor import close_supervisor_of_this_thread
@@ -183,5 +183,4 @@ def _needs(library: str, extra: str) -> Generator[None, None, None]:
     try:
         yield
     except ImportError as error:
-        raise OcnfError(f"{library} is not installed", code="missing_extra",
-                        fix=f"pip install 'ocnf[{extra}]'") from error
+        raise missing_extra(f"{library} is not installed", extra) from error

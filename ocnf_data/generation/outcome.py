@@ -3,11 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from rich.table import Table
 
+from ocnf_data.generation.plan import Plan
 from ocnf_data.generation.records import Failure
+from ocnf_data.manifest import SPLITS, Manifest
+from ocnf_data.manifest.folder import FolderSource
+
+
+def split_notes(plan: Plan, manifest: Manifest, splits: Sequence[str] = SPLITS) -> list[str]:
+    """What is to be known of the splits before hours go into a data set: a sentence each.
+
+    Args:
+        plan: of the data set.
+        manifest: that it was made from.
+        splits: those that are to be made.
+    """
+    counts = {split: sum(len(shard.items) for shard in plan.shards if shard.split == split)
+              for split in plan.splits}
+    asked = manifest.source.asked if isinstance(manifest.source, FolderSource) else ()
+    notes = [f"no mesh is left for {split}: {sum(counts.values())} in all, and source.shares asks for "
+             f"{', '.join(asked)}" for split in asked if split in splits and split not in counts]
+    if "train" in counts and "val" not in counts and "val" in splits:
+        notes.append("there is no split val: `ocnf-model train` validates with one, this data set's or, by "
+                     "--val, another's")
+    return notes
 
 
 @dataclass(frozen=True)

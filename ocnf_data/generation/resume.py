@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ocnf_data.errors import OcnfError
@@ -18,8 +18,15 @@ _ELSEWHERE = "generate into another folder, or put it back as it was"
 _FREE_FIELDS = ("source.root", "limits.timeout_s", "limits.failure_threshold")
 
 
-def adopt(store: Store, plan: Plan) -> tuple[Plan, list[str]]:
+def adopt(store: Store, plan: Plan,
+          by_chance_alone: Callable[[], Plan] | None = None) -> tuple[Plan, list[str]]:
     """The plan to follow: the one the folder was begun with; in a new folder this one, now written there.
+
+    Args:
+        store: the folder.
+        plan: what the manifest gives today.
+        by_chance_alone: what it gave before splits that chance had left empty were given a mesh; asked for
+            only where the folder was begun with fewer splits.
 
     Returns:
         The plan, and sentences to warn the user with.
@@ -38,6 +45,8 @@ def adopt(store: Store, plan: Plan) -> tuple[Plan, list[str]]:
         return plan, []
     begun = _read(store.read_at_most(PLAN, max(_SMALL_PLAN, 4 * len(plan.to_json()))), where)
     _compare_manifests(begun, plan, where)
+    if by_chance_alone is not None and set(begun.splits) < set(plan.splits):
+        plan = by_chance_alone()
     _compare("libraries", begun.fingerprint["libraries"], plan.fingerprint["libraries"], where,
              "use the versions it was begun with, or generate into another folder")
     _compare_items(begun, plan, where)

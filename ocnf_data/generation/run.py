@@ -22,7 +22,7 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.backends import run_tasks
 from ocnf_data.generation.fingerprint import view_fingerprint
-from ocnf_data.generation.outcome import Report
+from ocnf_data.generation.outcome import Report, split_notes
 from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
@@ -96,7 +96,10 @@ def generate(
     root = manifest.meshes_root(meshes)
     console = Console(stderr=True, quiet=not progress)
     with exclusive(store):
-        plan, warnings = adopt(store, make_plan(manifest, root, splits))
+        plan, warnings = adopt(store, make_plan(manifest, root, splits),
+                               lambda: make_plan(manifest.by_chance_alone(), root, splits))
+        for note in split_notes(plan, manifest, splits):
+            console.print(f"note: {note}", highlight=False, markup=False)
         if views is not None:
             warnings += _compare_views(views, plan, manifest)
         for warning in warnings:

@@ -43,6 +43,12 @@ class MixtureSource(Strict):
         """The entries of each part, in order."""
         return [entry for part in self.parts for entry in part.source.entries(root, seed)]
 
+    def by_chance_alone(self) -> MixtureSource:
+        """The same, with folders that leave a share empty if chance does."""
+        parts = tuple(part.model_copy(update={"source": part.source.by_chance_alone()})
+                      if isinstance(part.source, FolderSource) else part for part in self.parts)
+        return self.model_copy(update={"parts": parts})
+
     @property
     def reads_files(self) -> bool:
         """Whether some part is of mesh files."""

@@ -314,6 +314,16 @@ class Manifest(Strict):
     def __hash__(self) -> int:
         return hash(self.canonical_json())
 
+    def by_chance_alone(self) -> Manifest:
+        """The same, with folders' splits as they were drawn before empty ones were given a mesh."""
+        if isinstance(self.source, FolderSource):
+            source: FolderSource | MixtureSource = self.source.by_chance_alone()
+        elif isinstance(self.source, MixtureSource):
+            source = self.source.by_chance_alone()
+        else:
+            return self
+        return self.model_copy(update={"source": source})
+
     def truncation(self, resolution: int) -> float:
         """Truncation distance tau at a resolution, metres."""
         return self.truncation_voxels * self.normalise.extent / resolution

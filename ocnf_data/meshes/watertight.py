@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ocnf_data.arrays import F64, I64
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.interrupts import ignore_interrupts, joblib_results
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import fuse_tsdf
@@ -147,8 +147,7 @@ def _run(tasks: list[tuple[Path, Path]], resolution: int, level: float,
         import joblib
         from joblib.externals.loky import get_reusable_executor
     except ImportError as error:
-        raise OcnfError("several jobs need joblib", code="missing_extra",
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("several jobs need joblib", "generate") from error
     # loky gives each worker its share of the cores' threads.
     parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)), backend="loky", return_as="generator_unordered")
     calls = [joblib.delayed(_in_worker)(path, target, resolution, level) for path, target in tasks]

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ocnf_data.arrays import F32, F64, I64
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.octree import GridOctree
 
 # A value of exactly the level at a voxel would put up to six vertices in one place. This far from it (a
@@ -38,8 +38,7 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     try:
         from skimage.measure import marching_cubes
     except ImportError as error:
-        raise OcnfError("marching cubes needs scikit-image", code="missing_extra",
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("marching cubes needs scikit-image", "fuse") from error
     cropped, first_tree = occupied_box(octree, level)
     if cropped is None:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)

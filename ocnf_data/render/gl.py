@@ -144,7 +144,7 @@ def _import_pyrender() -> Any:
         import pyrender
     except ModuleNotFoundError as error:
         raise OcnfError(f"the module {error.name} is not installed", code="gl", where="pyrender",
-                        fix=f"run {MISSING}, or use the backend raster") from error
+                        fix=f"use the backend raster, or install it:\n{MISSING}") from error
     except Exception as error:  # PyOpenGL without its library: ImportError, AttributeError, OSError ...
         raise _broken("OpenGL cannot be loaded", error) from error
     return pyrender

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from rich.console import Console
@@ -118,20 +118,22 @@ def print_summary(summary: DatasetSummary, console: Console) -> None:
     if info is None:
         console.print(f"{escape(summary.url)}: [yellow]unfinished[/], no {DATASET} yet", highlight=False)
     else:
-        fingerprint = info.fingerprint if isinstance(info.fingerprint, str) else json.dumps(info.fingerprint)
         counts = info.counts
         console.print(f"[bold]{escape(info.name)}[/]  schema {info.schema_version}  {escape(summary.url)}\n"
-                      f"fingerprint {escape(fingerprint)}\n"
                       f"{counts.items} inputs = {counts.samples} samples + {counts.failures} failures + "
                       f"{counts.exclusions} exclusions", highlight=False, soft_wrap=True)
+        for line in fingerprint_lines(info.fingerprint):
+            console.print(line, highlight=False, markup=False)
     console.print(f"{summary.samples} samples, {summary.size / 1e6:.1f} MB", highlight=False)
-    splits = Table("split", "shards", "samples", "MB", "categories", box=None, pad_edge=False)
+    splits = Table(*(Column(title, no_wrap=True) for title in ("split", "shards", "samples", "MB")),
+                   Column("categories", overflow="fold"), box=None, pad_edge=False)
     for name, split in summary.splits.items():
         categories = ", ".join(f"{category} {n}" for category, n in sorted(split.categories.items()))
         splits.add_row(name, str(split.shards), str(split.categories.total()), f"{split.size / 1e6:.1f}",
                        escape(categories))
     figures = ("count", "MB", "kB\neach", "leaves,\nmean", "fewest", "most", "% of\nvoxels")
-    members = Table(Column("member", no_wrap=True),
+    # Names are folded where the terminal is narrow; figures never are.
+    members = Table(Column("member", overflow="fold"),
                     *(Column(title, justify="right", no_wrap=True) for title in figures),
                     box=None, pad_edge=False)
     for part in sorted(summary.members.values(), key=_by_kind):
@@ -140,6 +142,17 @@ def print_summary(summary: DatasetSummary, console: Console) -> None:
             cells += [f"{part.mean_leaves:.0f}", str(part.fewest), str(part.most), f"{100 * part.fill:.1f}"]
         members.add_row(*cells)
     console.print(splits, "", members, sep="\n")
+
+
+def fingerprint_lines(fingerprint: object) -> list[str]:
+    """What the bytes depend on besides manifest and meshes, as sentences: libraries and processor."""
+    if not isinstance(fingerprint, Mapping):
+        return [f"fingerprint {fingerprint}"]
+    lines = []
+    for name, value in fingerprint.items():
+        parts = [f"{key} {one}" for key, one in value.items()] if isinstance(value, Mapping) else [str(value)]
+        lines.append(f"made with {name}: {', '.join(parts)}")
+    return lines
 
 
 def _by_kind(part: MemberSummary) -> tuple[bool, str, str, int]:

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import Store, storage_errors
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.normalisation import Normalisation
@@ -148,8 +148,7 @@ def _hdf5() -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise OcnfError("kept views need h5py, which is not installed", code="missing_extra",
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("kept views need h5py, which is not installed", "fuse") from error
     return h5py
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import missing_extra
 from ocnf_data.render.shade import shade
 from ocnf_model.evaluation.measure import TRUTH, MeshArrays, Row
 
@@ -39,8 +39,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise OcnfError("the figure needs matplotlib", code="missing_extra",
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("the figure needs matplotlib", "generate") from error
     resolutions = sorted({resolution for resolution, _ in surfaces})
     methods = sorted(dict.fromkeys(method for _, method in surfaces), key=lambda method: method == TRUTH)
     frame = surfaces[resolutions[-1], TRUTH][0]

@@ -16,52 +16,28 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from ocnf_data.arrays import F64, I64, U8, Bool
+from ocnf_data.arrays import F64, I64, Bool
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
-from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_data.views.scans import Scan, read_scan
 from ocnf_data.views.scans.vertex_colour import vertex_colours, vertex_normals
 from ocnf_model.baselines import tvl1
-from ocnf_model.checkpoint import open_run
+from ocnf_model.checkpoint import TrainedRun, open_run
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.levels import run_levels
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.scan.reconstruction import Reconstruction, check_format
 from ocnf_model.scan.region import Region, largest_object, looked_at, observed
-
-
-@dataclass(frozen=True)
-class FusedMesh:
-    """A surface in the scan's coordinates.
-
-    Attributes:
-        vertices: (N, 3) metres.
-        faces: (M, 3), looking outwards.
-        region: the part of the scan that was fused.
-        resolution: voxels along the cube.
-        seconds: fusion and reconstruction, without reading the scan and without marching cubes.
-        notes: what the reader left out or assumed, and what it warns of.
-        colours: (N, 3) red, green, blue of the vertices, where the scan has colour.
-    """
-
-    vertices: F64
-    faces: I64
-    region: Region
-    resolution: int
-    seconds: float
-    notes: tuple[str, ...]
-    colours: U8 | None = None
 
 
 def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = None, method: str = "ours",
              resolution: int | None = None, device: str = "auto", weight: float | None = None,
              every: int = 1, keep_unseen: bool = False, console: Console | None = None,
-             reading: Mapping[str, Any] | None = None) -> FusedMesh:
+             reading: Mapping[str, Any] | None = None) -> Reconstruction:
     """Fuse a scan, write the mesh, and say what was done.
 
     Args:
@@ -82,9 +58,7 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
     Raises:
         OcnfError: the scan, the box or the run cannot be used, or no surface is left (`empty`).
     """
-    if out.suffix.lower() not in WRITERS:
-        raise OcnfError("cannot be written in this format", where=out, found=out.suffix,
-                        expected=", ".join(WRITERS))
+    check_format(out)
     chosen = parse_methods([method])[0]
     region = None if box is None else Region.of_box(box)
     fuser = _fuser(run, chosen, resolution, device, weight)
@@ -93,8 +67,7 @@ def run_fuse(run: str, scan: str, *, out: Path, box: tuple[float, ...] | None = 
     for note in (*read.notes, *read.warnings):  # before anything fails for the reason that they give
         console.print(f"Note: {note}", highlight=False, markup=False)
     mesh = fuse_scan(read, fuser, region=region, keep_unseen=keep_unseen)
-    data = WRITERS[out.suffix.lower()](mesh.vertices, mesh.faces, mesh.colours)
-    Store(out.parent).put_bytes(out.name, data)
+    mesh.save(out)
     console.print(f"{out}: {len(mesh.faces):,} faces by {chosen.label} at {mesh.resolution}³ in "
                   f"{mesh.seconds:.1f} s, {mesh.region}", highlight=False, markup=False, soft_wrap=True)
     return mesh
@@ -107,12 +80,13 @@ class Baseline:
     resolution: int = 256
     weight: float | None = None
 
-    def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
-        """The region's cube: TSDF / tau, 1 channel."""
+    def __call__(self, pyramid: DepthPyramid, region: Region) -> dict[int, GridOctree]:
+        """The region's cube by resolution, of which there is one: TSDF / tau, 1 channel."""
         size, centre = region.size, region.centre
         if self.weight is None:
-            return fuse_tsdf(pyramid, self.resolution, size, centre=centre)
-        return tvl1(fuse_histogram(pyramid, self.resolution, size, centre=centre), self.weight)
+            return {self.resolution: fuse_tsdf(pyramid, self.resolution, size, centre=centre)}
+        votes = fuse_histogram(pyramid, self.resolution, size, centre=centre)
+        return {self.resolution: tvl1(votes, self.weight)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,29 +103,50 @@ class Learned:
     resolutions: Sequence[int]
     truncation_voxels: float = 32 / 15
 
+    @classmethod
+    def of(cls, trained: TrainedRun, resolution: int | None = None) -> Learned:
+        """A run's network up to the level of a resolution; None: all its levels.
+
+        Raises:
+            OcnfError: it has no such level.
+        """
+        levels = trained.resolutions
+        if resolution is not None and resolution not in levels:
+            raise OcnfError("the network has no level of this resolution", where=trained.path,
+                            field="resolution", found=resolution, expected=" or ".join(map(str, levels)))
+        used = levels[: levels.index(resolution) + 1] if resolution else levels
+        return cls(trained.network, used, trained.data.truncation_voxels)
+
     @property
     def resolution(self) -> int:
-        """Voxels along each axis of the result."""
+        """Voxels along each axis of the finest level."""
         return self.resolutions[-1]
 
-    def __call__(self, pyramid: DepthPyramid, region: Region) -> GridOctree:
-        """The region's cube: TSDF / tau, or 1 - 2 p of the probability p of being occupied; 1 channel."""
+    def __call__(self, pyramid: DepthPyramid, region: Region) -> dict[int, GridOctree]:
+        """The region's cube by resolution, coarse to fine, 1 channel each.
+
+        TSDF / tau, or 1 - 2 p of the probability p of being occupied.
+        """
         network, size = self.network, region.size
         inputs = [OctreeBatch.from_grids([
             fuse(pyramid, network.encoding, resolution, size, self.truncation_voxels * size / resolution,
                  centre=region.centre)]) for resolution in self.resolutions]
-        *_, last = run_levels(network, inputs, next(network.parameters()).device)
-        field = last.reconstruction.features
-        signed = 1 - 2 * field if network.output is Output.OCCUPANCY else field.clamp(-1, 1)
-        return last.reconstruction.with_features(signed).to_grids()[0]
+        reached = run_levels(network, inputs, next(network.parameters()).device)
+        return {resolution: self._signed(level.reconstruction)
+                for resolution, level in zip(self.resolutions, reached, strict=True)}
+
+    def _signed(self, reconstruction: OctreeBatch) -> GridOctree:
+        field = reconstruction.features
+        signed = 1 - 2 * field if self.network.output is Output.OCCUPANCY else field.clamp(-1, 1)
+        return reconstruction.with_features(signed).to_grids()[0]
 
 
 Fuser = Baseline | Learned
 
 
 def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
-              keep_unseen: bool = False) -> FusedMesh:
-    """The mesh of a scan; arguments as for `run_fuse`."""
+              keep_unseen: bool = False) -> Reconstruction:
+    """The surface of a scan; arguments as for `run_fuse`."""
     pyramid = DepthPyramid(scan.views)
     if region is None:
         region = largest_object(pyramid) if scan.cube is None else Region.of_cube(*scan.cube)
@@ -159,9 +154,9 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
         raise OcnfError("no surface was found in the region: no frame looks at it", code="empty", field="box",
                         found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
     start = time.perf_counter()
-    octree = fuser(pyramid, region)
+    octrees = fuser(pyramid, region)
     seconds = time.perf_counter() - start
-    vertices, faces = octree_surface(octree, region.size, centre=region.centre)
+    vertices, faces = octree_surface(octrees[fuser.resolution], region.size, centre=region.centre)
     kept = region.holds(vertices)
     if not keep_unseen:
         kept[kept] = observed(vertices[kept], scan.views, default_truncation(fuser.resolution, region.size))
@@ -171,8 +166,7 @@ def fuse_scan(scan: Scan, fuser: Fuser, *, region: Region | None = None,
                         found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
     colours = None if scan.colour is None else vertex_colours(
         vertices, scan, default_truncation(fuser.resolution, region.size), vertex_normals(vertices, faces))[0]
-    return FusedMesh(vertices, faces, region, fuser.resolution, seconds, (*scan.notes, *scan.warnings),
-                     colours)
+    return Reconstruction(vertices, faces, octrees, region, seconds, (*scan.notes, *scan.warnings), colours)
 
 
 def _only(vertices: F64, faces: I64, kept: Bool) -> tuple[F64, I64]:
@@ -190,9 +184,5 @@ def _fuser(run: str, method: Method, resolution: int | None, device: str, weight
     if method is Method.TVL1:
         return Baseline(resolution or 256, weight or default_weight(resolution or 256))
     trained = open_run(run)
-    levels = trained.resolutions
-    if resolution is not None and resolution not in levels:
-        raise OcnfError("the network has no level of this resolution", where=run, field="resolution",
-                        found=resolution, expected=" or ".join(map(str, levels)))
-    used = levels[: levels.index(resolution) + 1] if resolution else levels
-    return Learned(trained.network.to(pick_device(device)), used, trained.data.truncation_voxels)
+    trained.network.to(pick_device(device))
+    return Learned.of(trained, resolution)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ocnf_data.arrays import F64, I64
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.meshes.formats.polygons import check_face_count, check_indices, unreadable
 
 _JSON_CHUNK = 0x4E4F534A
@@ -207,8 +207,7 @@ def _decode(header: dict[str, Any], binary: bytes, primitives: list[_Primitive],
     try:
         import trimesh
     except ImportError as error:
-        raise OcnfError("GLB files need trimesh", code="missing_extra", where=where,
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("GLB files need trimesh", "generate", where) from error
     used = list(dict.fromkeys(a for p in primitives for a in (p.position, p.indices) if a is not None))
     place = {accessor: i for i, accessor in enumerate(used)}
     meshes = []

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ocnf_data.arrays import U8
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import storage_errors
 
 _MAX_FILE = 2**27  # bytes
@@ -149,8 +149,7 @@ def _decode(file: Path, data: bytes, colour: bool) -> npt.NDArray[Any]:
     try:
         import cv2
     except ImportError as error:
-        raise OcnfError("reading images needs OpenCV", code="missing_extra",
-                        fix="pip install 'ocnf[generate]'") from error
+        raise missing_extra("reading images needs OpenCV", "fuse") from error
     if data.startswith(_PNG):
         _check_png(file, data)
     try:

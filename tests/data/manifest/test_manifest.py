@@ -454,8 +454,11 @@ def test_adding_files_to_a_folder_moves_no_other(tmp_path: Path) -> None:
     after = m.source.entries(tmp_path, m.seed)
     assert len(after) == 121 and set(before) < set(after)
     assert {e.path: e.split for e in m.source.entries(tmp_path, 1)} != {e.path: e.split for e in after}
-    few = Manifest.from_dict(example(source={**FOLDER, "at_most": 10})).source.entries(tmp_path, m.seed)
+    ten = Manifest.from_dict(example(source={**FOLDER, "at_most": 10}))
+    few = ten.by_chance_alone().source.entries(tmp_path, m.seed)
     assert len(few) == 10 and set(few) < set(after)
+    filled = ten.source.entries(tmp_path, m.seed)
+    assert {e.path for e in filled} == {e.path for e in few} and {e.split for e in filled} == set(SPLITS)
     half = Manifest.from_dict(example(source={**FOLDER, "at_most": 60})).source.entries(tmp_path, m.seed)
     assert {e.split for e in half} == set(SPLITS), "what is taken says nothing about where it goes"
 

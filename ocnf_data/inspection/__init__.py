@@ -1,0 +1,1 @@
+"""Looking at a data set: pictures of samples, statistics, and whether its values are physically right."""
