@@ -19,22 +19,17 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
     PrivateAttr,
-    SerializerFunctionWrapHandler,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
-from ocnf_data.arrays import F64
-from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
 from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refuse_repeats, refused, validate
+from ocnf_data.manifest.camera import Camera, Normalise
 from ocnf_data.manifest.entries import no_root
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
@@ -43,11 +38,10 @@ from ocnf_data.manifest.modelnet import ModelNetSource
 from ocnf_data.manifest.scenes import ScenesSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.manifest.synthesis import Synthesis
-from ocnf_data.views.rigs import intrinsics, rig_from_name, view_subset
-from ocnf_data.views.trajectories import path_from_name
+from ocnf_data.manifest.variant import Variant
+from ocnf_data.views.rigs import view_subset
 
 SCHEMA = 1
-_IDENTIFIER = re.compile(r"[A-Za-z0-9_]+")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
@@ -58,133 +52,6 @@ class Target(StrEnum):
     """TSDF of all views of the rig, divided by tau."""
     OCCUPANCY = "occupancy"
     """1 where that TSDF is negative, else 0."""
-
-
-class Normalise(Strict):
-    """How a mesh is placed: its bounding box centred, its longest edge `(1 - padding) * extent`."""
-
-    extent: Annotated[Real, Field(gt=0, le=1e3)] = 3.0
-    """Side of the grid's cube in metres."""
-    padding: Annotated[Real, Field(ge=0, lt=1)] = 0.05
-    """Share of the extent that stays empty, half of it at either end of the longest side."""
-
-    @property
-    def radius(self) -> float:
-        """Half the diagonal of the largest bounding box, metres: no vertex is farther from the origin."""
-        return (1 - self.padding) * self.extent * float(np.sqrt(3)) / 2
-
-
-class Camera(Strict):
-    """The virtual cameras: `rig` names them, the rest is one pinhole for all of them (pixels).
-
-    Rigs of directions look at the origin from `distance`. `around<n>` and `inside<n>` are hand-held paths,
-    another for each item: around the origin at about `distance`, or within the mesh's box
-    (`views.trajectories`).
-    """
-
-    rig: str = "published80"
-    """`published80` (the 80 directions of the paper's published code), `icosphereN` (20 * 4^N directions, N
-    up to 5), `fibonacciN` (N directions, up to 20480), or a hand-held path of N views, up to 2000, another
-    for each item: `aroundN`, or `insideN` the mesh's box."""
-    width: Annotated[Int, Field(ge=1, le=8192)] = 640
-    """Columns of the image, pixels."""
-    height: Annotated[Int, Field(ge=1, le=8192)] = 480
-    """Rows of the image, pixels."""
-    fx: Annotated[Real, Field(gt=0)] = 351.0
-    """Focal length along x, pixels."""
-    fy: Annotated[Real, Field(gt=0)] = 351.0
-    """Focal length along y, pixels."""
-    cx: Real = 320.0
-    """Column of the principal point, pixels; the centre of the first pixel is 0."""
-    cy: Real = 240.0
-    """Row of the principal point, pixels; the centre of the first pixel is 0."""
-    distance: Annotated[Real, Field(gt=0)] = 3.0
-    """Distance from the origin to each camera, metres; more than half the diagonal of the largest bounding
-    box, which is 2.468 m for the default extent and padding."""
-
-    @field_validator("rig")
-    @classmethod
-    def _known_rig(cls, name: str) -> str:
-        try:
-            if path_from_name(name) is None:
-                rig_from_name(name)
-        except OcnfError as error:
-            raise refused(error.what, expected=error.expected) from error
-        return name
-
-    @property
-    def n_views(self) -> int:
-        """Number of views in the rig; the ground truth is fused from all of them."""
-        return self.path[1] if self.path else len(rig_from_name(self.rig))
-
-    @property
-    def path(self) -> tuple[str, int] | None:
-        """(`around` or `inside`, number of views) of a hand-held path; None for a rig of directions."""
-        return path_from_name(self.rig)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Image size (H, W)."""
-        return self.height, self.width
-
-    @property
-    def K(self) -> F64:
-        """Intrinsics (3, 3), pixels."""
-        return intrinsics(self.fx, self.fy, self.cx, self.cy)
-
-
-class Variant(Strict):
-    """One kind of input: `views` of the rig, with noise, in one or more encodings at every resolution."""
-
-    name: str
-    """The first part of the names of its octrees; letters, digits and `_`, each name
-    once, not `target`."""
-    views: Annotated[Int, Field(ge=1)]
-    """How many views of the rig it sees, at most all; of N views
-    `linspace(0, N - 1, views)`, cut to integers."""
-    sigma: Annotated[Real, Field(ge=0, le=1)] = 0.0
-    """Standard deviation of the noise of `park`, as a fraction of the depth."""
-    noise: Literal["park", "kinect"] = "park"
-    """`park`: independent in each pixel (`views.noise`). `kinect`: a sensor's (`views.sensor`)."""
-    strength: Annotated[Real, Field(ge=0, le=10)] = 1.0
-    """Strength of the noise of `kinect`: 0 is none, 1 that of a Kinect."""
-    metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
-    """How many real metres a metre of the grid stands for, in the noise of `kinect`."""
-    encodings: Annotated[tuple[Encoding, ...], NotEmpty]
-    """How the views are written into octrees, each encoding at most once."""
-
-    @model_validator(mode="after")
-    def _of_one_noise(self) -> Variant:
-        if self.noise == "kinect" and self.sigma:
-            raise refused("sigma belongs to the noise park", at=".sigma", found=self.sigma,
-                          expected="none with kinect, which has strength")
-        for field in ("strength", "metres"):
-            if self.noise == "park" and getattr(self, field) != 1:
-                raise refused(f"{field} belongs to the noise kinect", at=f".{field}",
-                              found=getattr(self, field), expected="none with park, which has sigma")
-        return self
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A variant with Park's noise says what it always said, so that data sets begun before go on."""
-        fields: dict[str, Any] = handler(self)
-        if self.noise == "park":
-            for name in ("noise", "strength", "metres"):
-                del fields[name]
-        return fields
-
-    @field_validator("name")
-    @classmethod
-    def _plain_name(cls, name: str) -> str:
-        if not _IDENTIFIER.fullmatch(name) or name == "target":
-            raise refused("not a name for an input", expected="letters, digits and _; `target` is taken")
-        return name
-
-    @field_validator("encodings")
-    @classmethod
-    def _each_once(cls, encodings: tuple[Encoding, ...]) -> tuple[Encoding, ...]:
-        refuse_repeats([str(encoding) for encoding in encodings])
-        return encodings
 
 
 class Shards(Strict):
