@@ -21,7 +21,8 @@ from torch import Tensor
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, validate
 from ocnf_model.network import Carry, Join, Normaliser, OctNetFusion, Output
 from ocnf_model.tensorfile import TensorKind, read_header, read_kinds, read_tensors, write_tensors

@@ -25,7 +25,8 @@ from torch import Tensor
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 
 _KEY = "ocnf"
 _DIGEST = "sha256"

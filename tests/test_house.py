@@ -127,6 +127,7 @@ BORROWED = """
     ocnf_data.files.lock
     ocnf_data.files.records
     ocnf_data.files.storage
+    ocnf_data.files.storage_errors
     ocnf_data.files.strict_yaml
     ocnf_data.files.validation
     ocnf_data.fusion

@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import Iterator
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 
 _LOCK = ".lock"
 

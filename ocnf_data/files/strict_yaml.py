@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import storage_errors
+from ocnf_data.files.storage_errors import storage_errors
 
 # A list of a hundred thousand mesh paths fits.
 _MAX_BYTES = 16 * 2**20

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import storage_errors
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, refused
 from ocnf_data.manifest.entries import HIDDEN, SPLITS, Entry, given
 from ocnf_data.meshes.formats import FORMATS

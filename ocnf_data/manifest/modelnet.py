@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import storage_errors
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.files.validation import Int, Strict, refused
 from ocnf_data.manifest.entries import HIDDEN, SPLITS, Categories, Entry, given
 from ocnf_data.meshes.listing import is_hidden, list_hidden, list_modelnet

@@ -8,7 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import sha256_hex
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.index import MAX_INDEX_BYTES, ShardIndex, index_path, shard_path
 from ocnf_data.shards.walk import index_from_tar

@@ -24,7 +24,8 @@ from types import TracebackType
 from typing import IO, Any
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.shards.dataset import ShardEntry
 from ocnf_data.shards.faults import RawMember, end_faults, member_faults
 from ocnf_data.shards.index import Member, SampleEntry, ShardIndex, shard_path

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.octree.codec import decode_raw
 from ocnf_data.shards.catalogue import ShardContents
 from ocnf_data.shards.dataset import ShardEntry

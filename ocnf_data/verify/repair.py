@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from itertools import count
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.shards.catalogue import made_catalogue
 from ocnf_data.shards.dataset import FileEntry, load_dataset, write_dataset
 from ocnf_data.shards.index import catalogue_path, index_path, is_shard, shard_path

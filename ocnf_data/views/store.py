@@ -33,7 +33,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ocnf_data.errors import OcnfError, missing_extra
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.normalisation import Normalisation
 

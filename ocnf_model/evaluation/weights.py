@@ -17,7 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_model.baselines import WeightChoice, choose_weight
 from ocnf_model.baselines.crossval import CANDIDATE_WEIGHTS
 from ocnf_model.evaluation.models import DatasetFacts, Models

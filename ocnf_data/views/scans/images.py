@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import U8
 from ocnf_data.errors import OcnfError, missing_extra
-from ocnf_data.files.storage import storage_errors
+from ocnf_data.files.storage_errors import storage_errors
 
 _MAX_FILE = 2**27  # bytes
 _MAX_PIXELS = 2**26

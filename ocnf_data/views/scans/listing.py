@@ -12,7 +12,7 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import storage_errors
+from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.views.rigs import intrinsics as pinhole
 
 MILLIMETRES = 1e-3

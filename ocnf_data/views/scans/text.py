@@ -11,7 +11,7 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import storage_errors
+from ocnf_data.files.storage_errors import storage_errors
 
 _MAX_BYTES = 64 * 2**20  # an hour of poses at 100 Hz takes 30 MB
 _PLAIN = "numbers apart by spaces or line breaks, without commas, comments or words"

@@ -18,7 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import TEMPORARY_PREFIX, Store, storage_errors
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
 
 
 @pytest.fixture(params=["path", "file://", "memory://", "s3://"])
