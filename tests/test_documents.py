@@ -182,7 +182,7 @@ def codes_in(path: Path) -> set[str]:
 # What makes a sample out of an item; what it raises becomes a row of failures.jsonl.
 MAKES_SAMPLES = ("meshes/formats", "meshes/read.py", "meshes/topology.py", "render", "fusion",
                  "views/rigs.py", "views/noise.py", "octree/grid.py", "octree/stored.py",
-                 "generation/sample.py", "generation/worker", "files/storage.py", "shards/writer.py")
+                 "generation/sample.py", "generation/worker", "files/storage.py", "files/storage_errors.py", "shards/writer.py")
 BUILT_IN = {"excluded", "invalid"}
 INTERNAL = {"idle"}
 """A child process ended because there was no work; the error never leaves the supervisor."""
@@ -196,7 +196,7 @@ def sources(*folders: str) -> Iterator[Path]:
 
 def test_every_code_has_a_row_and_every_row_a_code() -> None:
     given = set().union(*map(codes_in, sources("ocnf_data", "ocnf_model"))) | BUILT_IN
-    storage = text_of(ROOT / "ocnf_data/files/storage.py")
+    storage = text_of(ROOT / "ocnf_data/files/storage_errors.py")
     given |= set(re.findall(r': \("(\w+)", ', storage))  # by errno
     listed = table("codes of failures.jsonl") | table("other codes")
     assert given - INTERNAL - listed == set(), "a row in docs/errors.md, with meaning and what to do"
