@@ -182,7 +182,8 @@ def codes_in(path: Path) -> set[str]:
 # What makes a sample out of an item; what it raises becomes a row of failures.jsonl.
 MAKES_SAMPLES = ("meshes/formats", "meshes/read.py", "meshes/topology.py", "render", "fusion",
                  "views/rigs.py", "views/noise.py", "octree/grid.py", "octree/stored.py",
-                 "generation/sample.py", "generation/worker", "files/storage.py", "files/storage_errors.py", "shards/writer.py")
+                 "generation/sample.py", "generation/worker", "files/storage.py",
+                 "files/storage_errors.py", "shards/writer.py")
 BUILT_IN = {"excluded", "invalid"}
 INTERNAL = {"idle"}
 """A child process ended because there was no work; the error never leaves the supervisor."""
