@@ -43,7 +43,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same with more samples than a test waits for."""
     path = tmp_path_factory.mktemp("manifest") / "tiny.yaml"
-    many = {**MANIFEST["source"], "counts": {"train": 500}}  # type: ignore[dict-item]
+    many = {**MANIFEST["source"], "counts": {"train": 500, "val": 1}}  # type: ignore[dict-item]
     path.write_text(json.dumps({**MANIFEST, "source": many}))  # JSON is YAML
     return path
 
