@@ -45,7 +45,8 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
     frame = surfaces[resolutions[-1], TRUTH][0]
     if not len(frame):
         frame = np.array([[-1.5] * 3, [1.5] * 3])
-    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, _INCHES * len(resolutions) + 0.6), dpi=150)
+    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, (_INCHES + 0.15) * len(resolutions) + 0.6),
+                    dpi=150, layout="constrained")
     axes = figure.subplots(len(resolutions), len(methods), squeeze=False)
     for row, resolution in enumerate(resolutions):
         for column, method in enumerate(methods):
@@ -63,7 +64,6 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
             if column == 0:
                 ax.set_ylabel(f"{resolution}³", fontsize=11)
     figure.suptitle(title, fontsize=11)
-    figure.tight_layout(pad=0.3, rect=(0, 0, 1, 1 - 0.3 / figure.get_figheight()))
     picture = io.BytesIO()
     FigureCanvasAgg(figure).print_png(picture)
     return picture.getvalue()
