@@ -2,8 +2,8 @@
 
     RUN/samples/NAME.npz        a frame's octrees at all resolutions; may be deleted, they are made again
 
-A level's first epochs draw from synthetic scenes alone; the later ones, which fine-tune, mostly from real
-ones. Which frames make a batch, and how they are turned, is a function of (seed, epoch, place).
+The first level's first epochs draw from synthetic scenes alone; everything later, which fine-tunes, mostly
+from real ones. Which frames make a batch, and how they are turned, is a function of (seed, epoch, place).
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from ocnf_model.training.settings import TrainSettings
 UPRIGHT: tuple[Symmetry, ...] = tuple(s for s in SYMMETRIES if s.axes[0] == 0 and not s.flips[0])
 """The eight symmetries that leave up where it is."""
 _HELD_OUT = 6  # every so manieth scene of the training split is validated with
-_SYNTHETIC_EPOCHS = 0.4  # of a level's epochs, the first ones
-_SYNTHETIC_SHARE = 0.2  # of the samples of the later epochs
+_SYNTHETIC_EPOCHS = 0.4  # of the first level's epochs, the first ones
+_SYNTHETIC_SHARE = 0.2  # of the samples of later epochs and levels
 _VOXEL = 0.005  # metres
 _VERSION = "ocnf.completion.1"  # another one wherever the same frame would give other octrees
 
@@ -60,7 +60,7 @@ class CompletionData:
         OcnfError: there is no training split, or it has too few scenes to hold one out.
     """
 
-    def __init__(self, root: str | Path, synthetic: int = 150, seed: int = 0) -> None:
+    def __init__(self, root: str | Path, synthetic: int = 40, seed: int = 0) -> None:
         self.where = str(root)
         self.training_frames, self.validation_frames = held_out(list_frames(root, "train"))
         if not self.validation_frames:
@@ -94,7 +94,7 @@ class CompletionData:
         """Turned and mirrored frames, synthetic ones first."""
         real = [frame.name for frame in self.training_frames]
         synthetic = [name for index in range(self._scenes) for name in _names(index)]
-        first = round(_SYNTHETIC_EPOCHS * settings.stage(level).epochs) if synthetic else 0
+        first = round(_SYNTHETIC_EPOCHS * settings.stage(0).epochs) if synthetic and level == 0 else 0
         return FrameDataset(folder / SAMPLES, real, level, self._checksum(real), seed=settings.seed,
                             batch_size=settings.stage(level).batch_size, synthetic=synthetic,
                             synthetic_epochs=first, n_samples=settings.samples_per_epoch or len(real))

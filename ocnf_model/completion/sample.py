@@ -129,10 +129,10 @@ def load_sample(file: Path, name: str, levels: int = LEVELS) -> FrameSample:
     return FrameSample(name, tuple(inputs), tuple(truths))
 
 
-def finer(values: F32, shape: tuple[int, int, int]) -> F32:
-    """The network's finest grid interpolated linearly to a scene's voxels, (D, H, W)."""
+def finer(values: F32, shape: tuple[int, int, int], shrink: int = SHRINK) -> F32:
+    """A grid of voxels `shrink` times as wide as the scene's, interpolated linearly to those, (D, H, W)."""
     for axis, size in enumerate(shape):
-        at = np.clip((np.arange(size) + 0.5) / SHRINK - 0.5, 0, values.shape[axis] - 1)  # voxel centres
+        at = np.clip((np.arange(size) + 0.5) / shrink - 0.5, 0, values.shape[axis] - 1)  # voxel centres
         low = np.floor(at).astype(np.int64)
         high = np.minimum(low + 1, values.shape[axis] - 1)
         weight = (at - low).astype(np.float32).reshape([-1 if i == axis else 1 for i in range(3)])
