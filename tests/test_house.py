@@ -26,8 +26,8 @@ ARROWS = {
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
         "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.files ocnf_data.generation "
-        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal "
-        "ocnf_data.verify",
+        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.report ocnf_data.shards "
+        "ocnf_data.terminal ocnf_data.verify",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
@@ -57,6 +57,10 @@ ARROWS = {
     "ocnf_data.octree": "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors",
     "ocnf_data.render":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
+    "ocnf_data.report":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
+        "ocnf_data.verify ocnf_data.views",
     "ocnf_data.scenes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes ocnf_data.shapes",
     "ocnf_data.shapes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes",
     "ocnf_data.shards":
@@ -111,8 +115,8 @@ FLOORS = (
     ("ocnf_data.arrays", "ocnf_data.encodings", "ocnf_data.errors", "ocnf_data.version"),
     ("ocnf_data.octree", "ocnf_model.octree", "ocnf_data.files", "ocnf_data.terminal"),
     (),
-    ("ocnf_data.generation", "ocnf_data.synthesis", "ocnf_model.training", "ocnf_model.evaluation",
-     "ocnf_model.scan"),
+    ("ocnf_data.generation", "ocnf_data.report", "ocnf_data.synthesis", "ocnf_model.training",
+     "ocnf_model.evaluation", "ocnf_model.scan"),
     ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info"),
     ("ocnf_data.cli", "ocnf_model.cli"),
     ("ocnf_data.__main__", "ocnf_data", "ocnf_model"),
