@@ -85,9 +85,9 @@ ARROWS = {
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render "
-        "ocnf_data.shards ocnf_data.terminal ocnf_model.baselines ocnf_model.checkpoint "
-        "ocnf_model.devices ocnf_model.measures ocnf_model.metrics ocnf_model.network "
-        "ocnf_model.octree",
+        "ocnf_data.report ocnf_data.shards ocnf_data.terminal ocnf_model.baselines "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.measures ocnf_model.metrics "
+        "ocnf_model.network ocnf_model.octree",
     "ocnf_model.info": "ocnf_model.checkpoint ocnf_model.network ocnf_model.ops ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
     "ocnf_model.measures":
@@ -151,8 +151,14 @@ BORROWED = """
     ocnf_data.octree.triangles
     ocnf_data.render.pictures
     ocnf_data.render.shade
+    ocnf_data.report.contents
+    ocnf_data.report.page
+    ocnf_data.report.sample
     ocnf_data.shards
+    ocnf_data.shards.browse
+    ocnf_data.shards.catalogue
     ocnf_data.shards.dataset
+    ocnf_data.shards.reader
     ocnf_data.synthesis.dataset
     ocnf_data.synthesis.sources
     ocnf_data.terminal

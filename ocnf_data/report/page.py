@@ -74,6 +74,7 @@ class Page:
         scale: of positions and error colours.
         columns: what the samples' values are.
         up: the axis that points up, y or z.
+        group: what the samples' `split` is called, where it is something else.
         facts: (name, value) pairs for the line below the head.
         tables: of the tab `Statistics`.
         failures: of the tab `Failures`; None: the page has no such tab.
@@ -86,6 +87,7 @@ class Page:
     scale: Scale
     columns: Sequence[Column]
     up: str = "z"
+    group: str = "Split"
     facts: list[tuple[str, str]] = field(default_factory=list)
     tables: list[PageTable] = field(default_factory=list)
     failures: PageTable | None = None

@@ -47,14 +47,16 @@
     const cells = { squares: found.arrays[`slice${number}/squares`].data, values: found.arrays[`slice${number}/values`].data };
     const caption = () => make("figcaption", {}, make("b", {}, slice.name), ` ${slice.title}`);
     const figure = make("figure", {}, drawn(slice, cells, 640), caption());
-    figure.onclick = () => enlarge(make("figure", {}, drawn(slice, cells, 1800), caption()));
+    figure.onclick = () => enlarge(make("figure", {}, drawn(slice, cells, 0.8 * Math.min(innerWidth, innerHeight) * devicePixelRatio, true), caption()));
     return figure;
   }
 
-  // A canvas of a slice, the first row at the bottom; cells of 3 pixels and more have outlines.
-  function drawn(slice, { squares, values }, pixels) {
+  // A canvas of a slice, the first row at the bottom; cells of 3 pixels and more have outlines. `exact`: a pixel
+  // of it is one of the screen.
+  function drawn(slice, { squares, values }, pixels, exact = false) {
     const unit = Math.max(1, Math.floor(pixels / Math.max(slice.width, slice.height)));
     const canvas = make("canvas", { width: slice.width * unit, height: slice.height * unit });
+    if (exact) canvas.style.width = `${canvas.width / devicePixelRatio}px`;
     const context = canvas.getContext("2d");
     const colour = ocnf.ramp(ocnf.page.distanceColours);
     const n = values.length;

@@ -12,6 +12,7 @@
     const { samples, columns } = ocnf.page;
     choices(by("category"), "all", samples.map((sample) => sample.category));
     choices(by("split"), "all", samples.map((sample) => sample.split));
+    by("group").textContent = ocnf.page.group;
     by("split").parentElement.hidden = new Set(samples.map((sample) => sample.split)).size < 2;
     by("sort").append(option("", "order of the data set"), option("key", "name"),
       ...columns.map((column, number) => option(String(number), column.unit ? `${column.label}, ${column.unit}` : column.label)));

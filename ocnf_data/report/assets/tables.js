@@ -20,7 +20,7 @@
   // A number with so many digits after the point; without `digits`, three significant ones.
   ocnf.number = (value, digits) => {
     if (value === null || value === undefined) return "–";
-    const places = digits ?? (Number.isInteger(value) ? 0 : Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value) || 1))));
+    const places = digits ?? (value === 0 ? 0 : Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
     return value.toLocaleString("en", { minimumFractionDigits: Math.min(places, 6), maximumFractionDigits: Math.min(places, 6) });
   };
 
@@ -40,8 +40,10 @@
     const isTotal = (row) => table.total && row === table.rows.at(-1);
     const largest = table.head.map((_, column) =>
       Math.max(...table.rows.filter((row) => !isTotal(row)).map((row) => row[column] || 0), 0));
+    // A column of whole numbers has no decimals; in others every number has three significant digits.
+    const isWhole = table.head.map((_, column) => table.rows.every((row) => typeof row[column] !== "number" || Number.isInteger(row[column])));
     const rows = table.rows.map((row) => make("tr", { className: isTotal(row) ? "total" : "" }, ...row.map((value, column) => {
-      const text = typeof value === "number" ? ocnf.number(value) : value ?? "–";
+      const text = typeof value === "number" ? ocnf.number(value, isWhole[column] ? 0 : undefined) : value ?? "–";
       const cell = make("td", { className: texts[column] ? "text" : "" }, text);
       if (texts[column] && text.length > 48) cell.className = "text long";
       if (table.bars.includes(column) && value && !isTotal(row)) {

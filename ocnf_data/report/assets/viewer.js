@@ -221,7 +221,7 @@
     if (!meta) return;
     const coloured = meta.shown.filter((shown) => names.includes(shown.name) && shown.hasError);
     if (!state.error) {
-      place.append(`The cube is ${ocnf.number(extent)} m wide, ${Math.round(extent / voxel)} voxels of ${ocnf.number(1000 * voxel)} mm. `
+      place.append(`The cube is ${extent} m wide, ${Math.round(extent / voxel)} voxels of ${ocnf.number(1000 * voxel)} mm. `
         + "Brown is the inside of a closed surface.");
       return;
     }
@@ -239,14 +239,15 @@
       const shown = meta.shown.find((one) => one.name === name), pane = panes.children[number];
       const [left, top, width, height] = boxes[number];
       Object.assign(pane.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
-      pane.className = `pane${names.length > 1 ? " more" : ""}${names.length > 1 && state.layout !== "all" && number === state.active ? " active" : ""}`;
+      pane.className = `pane${names.length > 1 ? " more" : ""}${names.length > 2 ? " crowded" : ""}${names.length > 1 && state.layout !== "all" && number === state.active ? " active" : ""}`;
       if (pane.dataset.name === `${meta.number} ${name}`) return;
       pane.dataset.name = `${meta.number} ${name}`;
       const n = shown.triangles.toLocaleString("en"), of = shown.of.toLocaleString("en");
       const size = shown.kind === "points" ? `${n} of ${of} measured points`
         : shown.of === 0 ? "no surface: nothing is inside" : shown.of > shown.triangles ? `${n} triangles, simplified from ${of}` : `${n} triangles`;
-      const lines = [shown.caption, size, shown.mean === null ? "" : `mean distance to the ground truth ${ocnf.number(shown.mean)} mm`];
-      pane.replaceChildren(make("div", {}, make("b", {}, name), ...lines.filter(Boolean).map((line) => make("small", {}, line))));
+      const mean = shown.mean === null ? "" : `mean distance to the ground truth ${ocnf.number(shown.mean)} mm`;
+      pane.replaceChildren(make("div", {}, make("b", {}, name), make("small", {}, shown.caption),
+        make("small", { className: "size" }, size), make("small", {}, mean)));
     });
   }
 
