@@ -61,8 +61,7 @@ class EvaluationPage:
     def begin(self, plans: Sequence[VariantPlan]) -> None:
         """Say which variants and methods there will be."""
         self._plans = list(plans)
-        labels = (plan.label(method) for plan in plans for method in (Method.VOLFUS, Method.TVL1, Method.OURS)
-                  if method in plan.sources)
+        labels = (plan.label(method) for method in Method for plan in plans if method in plan.sources)
         self._labels = list(dict.fromkeys(labels))
 
     def add(self, key: str, variant: str, results: Sequence[Result]) -> None:

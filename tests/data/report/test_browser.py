@@ -55,6 +55,12 @@ def settle(tab: Tab) -> None:
     tab.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
+def widths(tab: Tab, selector: str) -> list[int]:
+    """Widths of pictures in their own pixels, once they are decoded."""
+    return [one.evaluate("one => one.decode().then(() => one.naturalWidth)")
+            for one in tab.locator(selector).all()]
+
+
 def picture(tab: Tab) -> np.ndarray:
     """The canvas with labels hidden, (H, W, 3) float, 0 to 1."""
     tab.add_style_tag(content="#panes, #gizmo { opacity: 0 }")
@@ -73,7 +79,7 @@ def test_it_opens_from_the_disk_without_an_error(tab: Tab) -> None:
     assert tab.title() == tab.inner_text("h1") == "own"
     assert tab.locator(".card").count() == 3
     assert tab.inner_text("#tabs").split("\n") == ["Gallery (3)", "Statistics", "Failures (1)", "Provenance"]
-    tab.wait_for_function("[...document.querySelectorAll('.card img')].every(one => one.naturalWidth > 100)")
+    assert widths(tab, ".card img") == [200] * 3
     for name, text in (("Statistics", "By category"), ("Failures", "mug-broken"), ("Provenance", "rig: ")):
         tab.click(f"#tabs >> text={name}")
         assert text in tab.inner_text(f"#tab-{name.lower()}") and tab.is_hidden("#tab-gallery")
@@ -87,6 +93,7 @@ def test_the_canvas_shows_the_sample_and_a_click_swaps_its_surface(tab: Tab) -> 
             tab.click(f"[data-surface='{name}']")
         else:
             tab.keyboard.press(str(number))
+        settle(tab)
         assert tab.inner_text("#panes b") == name
         assert tab.get_attribute(f"[data-surface='{name}']", "aria-pressed") == "true"
         assert tab.locator("[data-surface][aria-pressed=true]").count() == 1
@@ -149,6 +156,7 @@ def test_error_wireframe_clip_and_cube(tab: Tab) -> None:
 def test_side_by_side_with_one_camera(tab: Tab) -> None:
     open_sample(tab, "mug-b")
     tab.click("[data-layout='2']")
+    settle(tab)
     assert tab.locator("#panes b").all_inner_texts() == ["Mesh", "Ground truth"]
     tab.mouse.move(400, 300)
     tab.mouse.down()
@@ -162,6 +170,7 @@ def test_side_by_side_with_one_camera(tab: Tab) -> None:
         spans = [np.nonzero(half.any(axis=axis))[0][[0, -1]] for half in (left, right)]
         assert abs(int(np.ptp(spans[0])) - int(np.ptp(spans[1]))) < 0.15 * image.shape[0]
     tab.click("[data-layout='all']")
+    settle(tab)
     assert tab.locator("#panes b").all_inner_texts() == ["Mesh", "Noisy input", "VolFus", "Ground truth"]
     quarters = [silhouette(quarter[14:-14, 14:-14]).mean() for half in np.array_split(picture(tab), 2)
                 for quarter in np.array_split(half, 2, axis=1)]
@@ -220,7 +229,7 @@ def test_slices_and_depth_maps(tab: Tab, report_made: Any, read_page: Any) -> No
     assert width > 1
     open_sample(tab, "chair-a")
     assert tab.locator(".side figure canvas").count() == 2 and tab.locator(".side figure img").count() == 4
-    tab.wait_for_function("[...document.querySelectorAll('.side img')].every(one => one.naturalWidth === 80)")
+    assert widths(tab, ".side img") == [80] * 4
     tab.hover(".side canvas >> nth=1", position={"x": 4, "y": 4})
     assert tab.inner_text("#tip") == f"z 31, x 0: a cell of {width}³ voxels, {value / 127.5 - 1:.2f} τ"
     tab.click(".side canvas >> nth=1", position={"x": 30, "y": 30})
