@@ -17,6 +17,7 @@ from rich.markup import escape
 from ocnf_data.encodings import Encoding
 from ocnf_data.export.settings import Coordinates, ExportFormat
 from ocnf_data.inspection.commands import check_command, show_command, stats_command
+from ocnf_data.report.commands import report_command
 from ocnf_data.terminal import print_error, run_app, show_version, stoppable
 
 if TYPE_CHECKING:
@@ -159,6 +160,7 @@ def dataset_info_command(
 app.command("show")(stoppable(_err, "what is drawn stays")(show_command))
 app.command("stats")(stoppable(_err, "nothing was changed")(stats_command))
 app.command("check")(stoppable(_err, "nothing was changed")(check_command))
+app.command("report")(stoppable(_err, "no page was written; the same command starts again")(report_command))
 
 
 @app.command("repair")

@@ -148,6 +148,8 @@ def evaluate_command(
     meshes: Annotated[Path | None, typer.Option(
         metavar="DIR", help="The folder that the data set was made from: measure surfaces against its meshes "
                             "instead of the finest ground truth.")] = None,
+    html: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="Also write a page with every model in 3-D, to be opened in a browser.")] = None,
 ) -> None:
     """Compare the network with plain and TV-L1 fusion: error by region, surface, overlap, time; and a figure.
 
@@ -158,7 +160,7 @@ def evaluate_command(
 
     methods = [str(name) for name in method] if method else None
     run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
-                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes)
+                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes, html=html)
 
 
 @app.command("choose-weight")
