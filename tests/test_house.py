@@ -80,7 +80,8 @@ ARROWS = {
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
-        "ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan ocnf_model.training",
+        "ocnf_data.errors ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan "
+        "ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
@@ -99,7 +100,7 @@ ARROWS = {
     "ocnf_model.ops": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree ocnf_model.octree",
     "ocnf_model.scan":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
-        "ocnf_data.octree ocnf_data.views ocnf_model.baselines ocnf_model.checkpoint "
+        "ocnf_data.octree ocnf_data.render ocnf_data.views ocnf_model.baselines ocnf_model.checkpoint "
         "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
@@ -147,6 +148,7 @@ BORROWED = """
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits
+    ocnf_data.octree.boxes
     ocnf_data.octree.surface
     ocnf_data.octree.triangles
     ocnf_data.render.pictures
