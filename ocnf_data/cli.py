@@ -45,7 +45,8 @@ def _cores() -> int:
 
 Folder = Annotated[str, typer.Argument(metavar="DIR", help="A data set: a folder, or an fsspec URL.")]
 Meshes = Annotated[Path | None, typer.Option(
-    metavar="ROOT", help="The folder that the manifest's mesh paths are relative to.")]
+    "--meshes", "--root", metavar="ROOT",
+    help="The folder that the manifest's paths, of meshes or scans, are relative to.")]
 Jobs = Annotated[int, typer.Option(
     min=1, metavar="N", default_factory=_cores, show_default="one a core",
     help="Worker processes, each using one core and up to 0.7 GB.")]

@@ -40,17 +40,17 @@ ARROWS = {
     "ocnf_data.generation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.scenes "
-        "ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
+        "ocnf_data.sequences ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
     "ocnf_data.inspection":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
-        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
-        "ocnf_data.views",
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.shards "
+        "ocnf_data.terminal ocnf_data.views",
     "ocnf_data.loading":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree "
         "ocnf_data.shards",
     "ocnf_data.manifest":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.meshes "
-        "ocnf_data.scenes ocnf_data.shapes ocnf_data.views",
+        "ocnf_data.scenes ocnf_data.sequences ocnf_data.shapes ocnf_data.views",
     "ocnf_data.meshes":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.octree "
         "ocnf_data.render ocnf_data.views",
@@ -62,6 +62,9 @@ ARROWS = {
         "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
         "ocnf_data.verify ocnf_data.views",
     "ocnf_data.scenes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes ocnf_data.shapes",
+    "ocnf_data.sequences":
+        "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.octree "
+        "ocnf_data.views",
     "ocnf_data.shapes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes",
     "ocnf_data.shards":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree",
