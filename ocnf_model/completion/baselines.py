@@ -12,12 +12,12 @@ import numpy as np
 from ocnf_data.arrays import Bool
 from ocnf_data.fusion import default_truncation, fuse_tsdf
 from ocnf_model.completion.extrusion import extrude
-from ocnf_model.completion.padding import padded_shape, placed
+from ocnf_model.completion.padding import grid_placement, padded_shape
 from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.visible import Visible
 
 
-def everything(scene: Tabletop) -> Bool:
+def all_occupied(scene: Tabletop) -> Bool:
     """All that is not seen to be free."""
     return np.ones(scene.shape, bool)
 
@@ -30,7 +30,7 @@ def visible_band(scene: Tabletop) -> Bool:
 def single_view_tsdf(scene: Tabletop) -> Bool:
     """TSDF fusion (VolFus) of the one view, with the paper's tau of 2.1333 voxels; unseen counts as empty."""
     shape = padded_shape(scene.shape)
-    extent, centre = placed(shape, scene.voxel)
+    extent, centre = grid_placement(shape, scene.voxel)
     fused = fuse_tsdf(scene.view, shape, extent, default_truncation(shape, extent), centre=centre)
     depth, height, width = scene.shape
     values = fused.to_dense()[0, :depth, :height, :width]
@@ -38,7 +38,7 @@ def single_view_tsdf(scene: Tabletop) -> Bool:
 
 
 METHODS: dict[str, Callable[[Tabletop], Bool]] = {
-    "everything occupied": everything,
+    "everything occupied": all_occupied,
     "visible band": visible_band,
     "single-view TSDF": single_view_tsdf,
     "extrusion": extrude,

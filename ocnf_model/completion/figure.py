@@ -1,9 +1,10 @@
-"""A frame's depth map, its completions and its ground truth side by side."""
+"""Depth maps, their completions and the ground truth side by side."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,17 +15,31 @@ from ocnf_model.completion.scores import Scores
 from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.visible import LOWEST, Visible
 
-_INCHES, _PIXELS = 2.6, 420
+_WIDE, _HIGH, _PIXELS = 2.7, 2.05, 440  # inches of a picture, and pixels along a square one
+_TRUTH = "ground truth"
 _ASIDE = 75.0  # degrees around the vertical from the view, so that what it does not see is shown
 
 
-def draw_completions(scene: Tabletop, found: Mapping[str, Bool], scores: Mapping[str, Scores]) -> bytes:
-    """A PNG: the depth map, then the voxels that are judged and occupied, by method, and in truth.
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A row of the figure.
+
+    Attributes:
+        scene: the frame.
+        found: occupied voxels (D, H, W) by method.
+        scores: figures by method, for the captions.
+    """
+
+    scene: Tabletop
+    found: Mapping[str, Bool]
+    scores: Mapping[str, Scores]
+
+
+def draw_completions(pictures: Sequence[Picture]) -> bytes:
+    """A PNG with a row a frame: the depth map, then the judged and occupied voxels by method, and in truth.
 
     Args:
-        scene: the frame.
-        found: occupied voxels (D, H, W) by method, columns in this order.
-        scores: figures by method, for the captions.
+        pictures: at least one; columns are the methods of the first.
 
     Raises:
         OcnfError: matplotlib or scikit-image is not installed (code `missing_extra`).
@@ -34,30 +49,34 @@ def draw_completions(scene: Tabletop, found: Mapping[str, Bool], scores: Mapping
         from matplotlib.figure import Figure
     except ImportError as error:
         raise missing_extra("the figure needs matplotlib", "generate") from error
-    judged = Visible.of(scene.view, scene.shape, scene.voxel).judged
-    volumes = {**found, "ground truth": scene.occupied}
-    figure = Figure(figsize=(_INCHES * (len(volumes) + 1) + 0.8, _INCHES + 0.7), dpi=120,
+    methods = [*pictures[0].found, _TRUTH]
+    figure = Figure(figsize=(_WIDE * (len(methods) + 1) + 0.4, (_HIGH + 0.2) * len(pictures) + 0.4), dpi=120,
                     layout="constrained")
-    axes = figure.subplots(1, len(volumes) + 1, width_ratios=[4 / 3, *[1] * len(volumes)])
-    axes[0].imshow(_seen(scene.view.depth[0]), cmap="viridis_r", interpolation="nearest")
-    axes[0].set_title("depth map", fontsize=11)
-    height, width = scene.shape[1] * scene.voxel, scene.shape[2] * scene.voxel
-    frame = np.array([[0, 0, 0], [width, height, 0.3]])
-    for ax, (name, volume) in zip(axes[1:], volumes.items(), strict=True):
-        vertices, faces = _surface(volume & judged, scene.voxel)
-        ax.imshow(shade(vertices, faces, size=_PIXELS, azimuth=_azimuth(scene) + _ASIDE, elevation=30,
-                        frame=frame, supersample=2))
-        ax.set_title(name, fontsize=11)
-        if name in scores:
-            ax.set_xlabel(f"IoU {scores[name].iou:.2f}", fontsize=9)
-    for ax in axes:
+    axes = figure.subplots(len(pictures), len(methods) + 1, squeeze=False)
+    for row, picture in zip(axes, pictures, strict=True):
+        scene = picture.scene
+        row[0].imshow(_seen(scene.view.depth[0]), cmap="viridis_r", interpolation="nearest")
+        row[0].set_xlabel(scene.name, fontsize=8)
+        judged = Visible.of(scene.view, scene.shape, scene.voxel).judged
+        _, height, width = (n * scene.voxel for n in scene.shape)
+        frame = np.array([[0, 0, 0], [width, height, 0], [width, 0, 0.2], [0, height, 0.2]])
+        for ax, name in zip(row[1:], methods, strict=True):
+            volume = scene.occupied if name == _TRUTH else picture.found[name]
+            vertices, faces = _surface(volume & judged, scene.voxel)
+            drawn = shade(vertices, faces, size=_PIXELS, azimuth=_azimuth(scene) + _ASIDE, elevation=30,
+                          frame=frame, supersample=2)
+            ax.imshow(drawn[_PIXELS // 8: -_PIXELS // 8])
+            if name in picture.scores:
+                ax.set_xlabel(f"IoU {picture.scores[name].iou:.2f}", fontsize=8)
+    for ax, title in zip(axes[0], ["depth map", *methods], strict=True):
+        ax.set_title(title, fontsize=11)
+    for ax in axes.flat:
         ax.set_xticks([])
         ax.set_yticks([])
         ax.spines[:].set_visible(False)
-    figure.suptitle(scene.name, fontsize=10)
-    picture = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(picture)
-    return picture.getvalue()
+    png = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(png)
+    return png.getvalue()
 
 
 def _seen(depth: F32) -> F32:

@@ -21,7 +21,7 @@ def padded(volume: F32 | Bool, shape: tuple[int, int, int], value: float = 0.0) 
     return out
 
 
-def placed(shape: tuple[int, int, int], voxel: float) -> tuple[float, tuple[float, float, float]]:
+def grid_placement(shape: tuple[int, int, int], voxel: float) -> tuple[float, tuple[float, float, float]]:
     """(extent, centre (x, y, z)) in metres for functions of `ocnf_data.fusion`: a corner at the origin."""
     depth, height, width = (n * voxel for n in shape)
     return max(depth, height, width), (width / 2, height / 2, depth / 2)

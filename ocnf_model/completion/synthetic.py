@@ -16,7 +16,7 @@ from ocnf_data.views.cameras import Views
 from ocnf_data.views.rigs import intrinsics
 from ocnf_data.views.sensor import add_sensor_noise, sensor_draws
 from ocnf_data.views.trajectories import path_around
-from ocnf_model.completion.padding import padded_shape, placed
+from ocnf_model.completion.padding import grid_placement, padded_shape
 from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.visible import LOWEST, TRUNCATION
 
@@ -73,7 +73,7 @@ def _in_grid(vertices: F64) -> tuple[F64, tuple[int, int, int]]:
 def _fused(views: Views, shape: tuple[int, int, int]) -> F32:
     """(D, H, W) metres, NaN where no view saw anything."""
     whole = padded_shape(shape)
-    extent, centre = placed(whole, _VOXEL)
+    extent, centre = grid_placement(whole, _VOXEL)
     values = fuse_tsdf(views, whole, extent, TRUNCATION, centre=centre).to_dense()[0]
     depth, height, width = shape
     values = values[:depth, :height, :width]

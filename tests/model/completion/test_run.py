@@ -128,7 +128,7 @@ def test_train_resume_and_evaluate(voxlets: Path, settings: Path, tmp_path: Path
     assert {"everything occupied", "extrusion", "ours"} <= {
         row.split(",")[1] for row in (out / "frames.csv").read_text().splitlines()}
     assert "| ours |" in (out / "completion.md").read_text()
-    assert (out / "fold_1-saved_6-6.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "completion.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_run_goes_on_where_it_was_stopped_with_the_same_result(voxlets: Path, tmp_path: Path) -> None:
