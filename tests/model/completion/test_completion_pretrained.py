@@ -1,0 +1,46 @@
+"""The completion network that comes with the package: whole, described, and better than the baselines."""
+
+from __future__ import annotations
+
+import os
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import open_run
+from ocnf_model.completion.evaluate import run_completion_evaluation
+from ocnf_model.completion.predict import CompletionNetwork, read_threshold
+from ocnf_model.completion.scores import Scores
+
+FOLDER = Path(str(files("ocnf_model"))) / "pretrained" / "completion"
+DATA = Path(os.environ.get("OCNF_DATA", "")) / "voxlets"
+
+
+def test_the_levels_are_there_and_go_together() -> None:
+    run = open_run(FOLDER)
+    network = CompletionNetwork("pretrained", "cpu")
+    assert network.n_levels == len(run.headers) and network.threshold == read_threshold(FOLDER) != 0.5
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 8e6
+    card = (FOLDER / "README.md").read_text()
+    for header in run.headers:
+        row = f"| {header.level} | {header.epoch} | {header.steps:,} | {header.metrics['iou']:.3f} |"
+        assert row in card
+
+
+def test_a_network_of_another_kind_is_refused() -> None:
+    with pytest.raises(OcnfError, match="not for completion"):
+        CompletionNetwork(FOLDER.parent, "cpu")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("OCNF_DATA" not in os.environ or not DATA.is_dir(),
+                    reason="OCNF_DATA names no folder with voxlets/")
+def test_better_than_the_baselines_on_the_test_scenes(tmp_path: Path) -> None:
+    rows = run_completion_evaluation("pretrained", str(DATA), out=tmp_path, forest=False, figures=0,
+                                     device="cpu")
+    means = {method: Scores.mean([row.scores for row in rows if row.method == method])
+             for method in {row.method for row in rows}}
+    ours = means.pop("ours")
+    assert ours.iou >= 0.6 > max(mean.iou for mean in means.values())
