@@ -20,6 +20,10 @@ ROOT = Path(__file__).parent.parent
                     "read_depth(Path('a.png'))"),
     ("skimage", "fuse", "from ocnf_data import GridOctree, octree_surface; "
                         "octree_surface(GridOctree.from_dense(np.full((1, 8, 8, 8), -1, np.float32)))"),
+    ("fast_simplification", "fuse", "from ocnf_model.scan.run import Asked, Path, run_fuse; "
+                                    "run_fuse('SCAN', Asked(Path('a.ply'), faces=9))"),
+    ("matplotlib", "fuse", "from ocnf_model.scan.run import Asked, Path, run_fuse; "
+                           "run_fuse('SCAN', Asked(None, preview=Path('a.png')))"),
     ("h5py", "fuse", "from ocnf_data import read_scan; read_scan('views.h5::key')"),
     ("matplotlib", "generate", "from ocnf_data.inspection.stats import draw; draw({'coverage': {}}, None)"),
     ("joblib", "generate", "from ocnf_data import generate, load_manifest; "
@@ -45,7 +49,8 @@ def test_the_last_line_can_be_pasted(tmp_path: Path, library: str, extra: str, c
 def _distributions(extras: tuple[str, ...]) -> set[str]:
     """What the core and some extras declare, by the names that are imported."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    modules = {"opencv-python-headless": "cv2", "scikit-image": "skimage"}
+    modules = {"opencv-python-headless": "cv2", "scikit-image": "skimage",
+               "fast-simplification": "fast_simplification"}
     declared = [*project["dependencies"],
                 *(line for extra in extras for line in project["optional-dependencies"][extra])]
     names = {line.split(">")[0].split("=")[0].split("[")[0] for line in declared}
