@@ -129,7 +129,7 @@ def _fuse(pyramid: DepthPyramid, fuser: Fuser, region: Region, voxel: float | No
     label = fuser.method.label
     with stages.stage("fuse") as stage:
         if voxel is None:
-            octrees = fuser(pyramid, region)
+            octrees = fuser(pyramid, region, stage.report)
             stage.say(f"{label}, {fuser.resolution}³ voxels of "
                       f"{1000 * region.size / fuser.resolution:.2f} mm")
             return octrees, region, default_truncation(fuser.resolution, region.size)

@@ -80,6 +80,9 @@ class Asked:
         """Raise OcnfError where something cannot be done whatever the scan is."""
         if self.out is None and self.preview is None:
             raise OcnfError("nothing to make", field="out", expected="--out MESH, or --preview PICTURE")
+        if self.out is None and (self.tsdf is not None or self.picture is not None):
+            raise OcnfError("nothing is fused without a mesh to write", field="out",
+                            fix="name one with --out MESH")
         for path, suffixes in ((self.out, mesh_suffixes()), (self.tsdf, TSDF_SUFFIXES)):
             if path is not None:
                 check_target(path, suffixes)
