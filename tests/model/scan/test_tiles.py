@@ -15,7 +15,8 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.octree import GridOctree
 from ocnf_data.views.scans import read_scan
-from ocnf_model import load_network
+from ocnf_model import OctNetFusion, load_network
+from ocnf_model.scan.budget import estimate_bytes
 from ocnf_model.scan.fuse import fuse_scan
 from ocnf_model.scan.fusers import Baseline, Learned
 from ocnf_model.scan.region import Region
@@ -180,3 +181,19 @@ def test_overlap_has_to_fit() -> None:
     for overlap in (4, 40, -8):
         with pytest.raises(OcnfError, match="not an overlap"):
             plan_tiles(Region.of_box((0, 0, 0, 1, 1, 1)), 0.1, 64, overlap)
+
+
+def test_the_network_stops_at_the_first_level_whose_cube_holds_the_region(network: OctNetFusion) -> None:
+    both = Learned(network, (32, 64))
+    assert [both.for_voxels(n).resolution for n in (8, 32, 33, 64, 65, 1000)] == [32, 32, 64, 64, 64, 64]
+    assert Learned(network, (32, 64), fixed=True).for_voxels(8).resolution == 64
+
+
+def test_the_memory_that_is_foreseen_is_that_of_the_walls() -> None:
+    """36 square metres of walls, from inside; ten times finer is a hundred times as much."""
+    views = room_views()
+    region = Region.of_box((-0.1, -0.1, -0.1, *(ROOM + 0.1)))
+    walls = 2 * (ROOM[0] * ROOM[1] + ROOM[1] * ROOM[2] + ROOM[0] * ROOM[2])
+    foreseen = estimate_bytes(views, region, 0.01) / (1200 * walls / 0.01**2)
+    assert 0.7 < foreseen < 2.5
+    assert 80 < estimate_bytes(views, region, 0.001) / estimate_bytes(views, region, 0.01) < 200
