@@ -4,7 +4,6 @@
 (() => {
   const { make, by } = ocnf;
   const STEPS = 65535; // of positions over the cube (geometry.py)
-  const ERROR_COLOURS = ["#ece9e2", "#f4d98f", "#ec9a4c", "#c63f33", "#5d1230"];
   const PLAIN = "#cbc5ba", INSIDE = "#a9714f", POINT = "#47688a", NO_ERROR = "#b9bcc0";
   const FIELD = 32; // degrees of the camera
   const FRONT = 0, BACK = 1, BOTH = 2; // sides of THREE's materials
@@ -113,7 +112,7 @@
   }
 
   function errorColours(bytes) {
-    const ramp = ocnf.ramp(ERROR_COLOURS), colour = new THREE.Color();
+    const ramp = ocnf.ramp(ocnf.page.errorColours), colour = new THREE.Color();
     const table = Array.from({ length: 256 }, (_, value) => {
       const [r, g, b] = ramp(value / 255);
       return colour.setRGB(r / 255, g / 255, b / 255, "srgb").toArray();
@@ -227,7 +226,7 @@
     }
     const most = Math.round(error / voxel);
     const labels = Array.from({ length: most + 1 }, (_, n) => `${n}${n === most ? " and more" : ""}\n${ocnf.number(1000 * n * voxel)} mm`);
-    place.append(ocnf.scale(ERROR_COLOURS, labels), make("span", {}, coloured.length
+    place.append(ocnf.scale(ocnf.page.errorColours, labels), make("span", {}, coloured.length
       ? "Distance to the surface of the ground truth, in voxels and in millimetres. Grey: not compared."
       : "Nothing that is shown here has an error: choose another surface."));
   }
