@@ -6,6 +6,7 @@
   const STEPS = 65535; // of positions over the cube (geometry.py)
   const PLAIN = "#cbc5ba", INSIDE = "#a9714f", POINT = "#47688a", NO_ERROR = "#b9bcc0";
   const FIELD = 32; // degrees of the camera
+  const POINTS_ACROSS = 320; // points side by side fill the cube
   const FRONT = 0, BACK = 1, BOTH = 2; // sides of THREE's materials
   const AXES = ["x", "y", "z"];
 
@@ -85,9 +86,8 @@
     if (error) geometry.setAttribute("color", new THREE.BufferAttribute(errorColours(error), 3));
     const one = { shown, group: new THREE.Group(), error: Boolean(error), disposable: [geometry], lines: null, geometry };
     if (shown.kind === "points") {
-      const size = extent / 220;
-      one.plain = new THREE.PointsMaterial({ color: POINT, size });
-      one.coloured = error ? new THREE.PointsMaterial({ vertexColors: true, size }) : one.plain;
+      one.plain = new THREE.PointsMaterial({ color: POINT });
+      one.coloured = error ? new THREE.PointsMaterial({ vertexColors: true }) : one.plain;
       one.parts = [new THREE.Points(geometry, one.plain)];
     } else {
       geometry.setIndex(new THREE.BufferAttribute(found.arrays[`${at}/faces`].data, 1));
@@ -307,6 +307,11 @@
       camera.aspect = w / h;
       camera.fov = w < h ? (360 / Math.PI) * Math.atan(Math.tan((FIELD * Math.PI) / 360) * (h / w)) : FIELD;
       camera.updateProjectionMatrix();
+      // three.js takes the size of points for one in a field of 90 degrees over the whole canvas.
+      const spread = Math.tan((camera.fov * Math.PI) / 360) * (height / h);
+      for (const one of items.filter((each) => each.shown.kind === "points")) {
+        one.plain.size = one.coloured.size = ocnf.page.scale.extent / POINTS_ACROSS / spread;
+      }
       renderer.render(scene, camera);
     });
     camera.fov = FIELD;
