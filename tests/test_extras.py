@@ -20,6 +20,10 @@ ROOT = Path(__file__).parent.parent
                     "read_depth(Path('a.png'))"),
     ("skimage", "fuse", "from ocnf_data import GridOctree, octree_surface; "
                         "octree_surface(GridOctree.from_dense(np.full((1, 8, 8, 8), -1, np.float32)))"),
+    ("fast_simplification", "fuse", "from ocnf_model.scan.run import Asked, Path, run_fuse; "
+                                    "run_fuse('SCAN', Asked(Path('a.ply'), faces=9))"),
+    ("matplotlib", "fuse", "from ocnf_model.scan.run import Asked, Path, run_fuse; "
+                           "run_fuse('SCAN', Asked(None, preview=Path('a.png')))"),
     ("h5py", "fuse", "from ocnf_data import read_scan; read_scan('views.h5::key')"),
     ("matplotlib", "generate", "from ocnf_data.inspection.stats import draw; draw({'coverage': {}}, None)"),
     ("fast_simplification", "generate", "from ocnf_data.report.geometry import Triangles, simplify; "
