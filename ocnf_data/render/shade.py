@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F64, U8, Bool
+from ocnf_data.arrays import F64, I64, U8, Bool
 from ocnf_data.render.raster import rasterise
 
 CLAY = (0.80, 0.76, 0.70)
@@ -60,15 +60,51 @@ def shade(
     R = _orbit(azimuth, elevation, up)
     T = np.array([0.0, 0.0, _DISTANCE * radius]) - R @ ((low + high) / 2)
     K = _fit(fit @ R.T + T, n)
-    depth = rasterise(points, triangles, K[None], R[None], T[None], (n, n))[0].astype(np.float64)
+    return _lit(points, triangles, (K, R, T), (size, size), supersample, radius, colour)
+
+
+def shade_from(vertices: npt.ArrayLike, faces: npt.ArrayLike, K: F64, R: F64, T: F64, size: tuple[int, int],
+               colour: tuple[float, float, float] = CLAY, supersample: int = 2) -> U8:
+    """Draw a surface, two-sided, on white, as one camera sees it.
+
+    Args:
+        vertices: (N, 3) metres.
+        faces: (M, 3) indices; M may be 0, which gives an empty picture.
+        K: (3, 3) intrinsics in pixels of the picture.
+        R: (3, 3) world to camera.
+        T: (3,) metres, world to camera.
+        size: (H, W) of the picture in pixels.
+        colour: albedo, RGB in 0..1.
+        supersample: samples a pixel along each axis.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    if len(triangles) == 0:
+        return np.full((*size, 3), 255, dtype=np.uint8)
+    fine = np.array(K, dtype=np.float64)  # pixel centres are whole: (u + 0.5) * n - 0.5
+    fine[:2] *= supersample
+    fine[:2, 2] += (supersample - 1) / 2
+    radius = float(np.ptp(points, axis=0).max()) / 2
+    return _lit(points, triangles, (fine, R, T), size, supersample, radius, colour)
+
+
+def _lit(points: F64, triangles: I64, camera: tuple[F64, F64, F64], size: tuple[int, int], supersample: int,
+         radius: float, colour: tuple[float, float, float]) -> U8:
+    """The picture (H, W, 3) of a camera (K, R, T), K in samples; `radius` is the object's, metres."""
+    K, R, T = camera
+    height, width = (n * supersample for n in size)
+    depth = rasterise(points, triangles, K[None], R[None], T[None], (height, width))[0].astype(np.float64)
 
     hit = np.isfinite(depth)
     normal = _normals(np.where(hit, depth, np.nan), K)
     key = np.clip(normal @ (_KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)), 0, 1)
     facing = np.clip(-normal[..., 2], 0, 1)
-    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, n)
+    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, width)
     image = np.where(hit[..., None], np.clip(light, 0, 1)[..., None] * np.asarray(colour), 1.0)
-    image = image.reshape(size, supersample, size, supersample, 3).mean(axis=(1, 3))
+    image = image.reshape(size[0], supersample, size[1], supersample, 3).mean(axis=(1, 3))
     return (255 * np.clip(image, 0, 1) ** (1 / 1.2) + 0.5).astype(np.uint8)
 
 
