@@ -52,6 +52,7 @@ def main() -> None:
     manifest = Manifest.from_dict(load_dataset(options.data).manifest)
     sample = find_sample(options.data, options.key)
     extent, finest = manifest.normalise.extent, manifest.resolutions[-1]
+    views = remake(manifest, sample.facts, options.root).observed[options.variant]
     truth = sample.octree(target_member(finest))
     inputs = {res: sample.octree(input_member(options.variant, Encoding.HISTOGRAM, res))
               for res in manifest.resolutions}
@@ -67,7 +68,6 @@ def main() -> None:
     fields["network"] = output.with_features(output.features.clamp(-1, 1)).to_grids()[0]
     fields["reference: all frames"] = truth
 
-    views = remake(manifest, sample.facts, options.root).observed[options.variant]
     i = options.view
     figure = Figure(figsize=(4 * (1 + len(fields)), 3.4), layout="constrained")
     first, *others = figure.subplots(1, 1 + len(fields))
