@@ -9,11 +9,9 @@ import numpy as np
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, fuse_tsdf
+from ocnf_data.sequences import Box
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.normalisation import Normalisation
-
-Box = tuple[float, float, float, float, float, float]
-"""x0 y0 z0 x1 y1 z1 in metres, in the scan's coordinates."""
 
 _SEARCH_RESOLUTION = 128
 _SEARCH_POINTS = 200_000
