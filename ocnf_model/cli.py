@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from ocnf_data.terminal import run_app, show_version, stoppable
 from ocnf_model.evaluation.methods import Method
+from ocnf_model.tables.command import tables_command
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
@@ -185,6 +186,10 @@ def choose_weight_command(
     run_choose_weight(data, out=out, resolutions=resolution, n_models=models, split=split, weights=grid,
                       console=_out)
     _out.print(f"The weights are in {escape(str(out))}", highlight=False, soft_wrap=True)
+
+
+app.command("tables")(stoppable(
+    _err, "what is finished is kept, and the same command goes on")(tables_command))
 
 
 @app.command("fuse")

@@ -118,7 +118,8 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
 def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[int] | None = None,
              split: str = "test", methods: Sequence[str] | None = None,
              weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
-             console: Console | None = None, title: str = "", meshes: Path | None = None) -> Evaluation:
+             console: Console | None = None, title: str = "", meshes: Path | None = None,
+             categories: Sequence[str] | None = None) -> Evaluation:
     """Evaluate a network where it is, or the baselines alone.
 
     Args:
@@ -134,6 +135,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         console: where the progress is shown; None shows none.
         title: title of the report.
         meshes: the folder that the data set's meshes were read from, as for `run_evaluate`.
+        categories: models of these only; None for all.
     """
     facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
@@ -150,7 +152,8 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     rows: list[Row] = []
     ceilings: list[Row] = []
     figures: dict[str, bytes] = {}
-    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit) for plan in plans]
+    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit, categories)
+            for plan in plans]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for plan, models in zip(plans, sets, strict=True):

@@ -1,0 +1,239 @@
+"""`make_tables`: plans, goes through the steps that are left, and writes the tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.lock import exclusive
+from ocnf_data.files.records import canonical_json
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import storage_errors
+from ocnf_model.tables.budget import PAPER_EPOCHS, Budget, listed, make_budget
+from ocnf_model.tables.cells import TableFigures
+from ocnf_model.tables.differences import differences
+from ocnf_model.tables.execute import Executor
+from ocnf_model.tables.rates import Estimate, Estimator, calibrate, epochs_within, read_rates
+from ocnf_model.tables.schema import TABLE_NAMES, TableSpec, load_table
+from ocnf_model.tables.steps import Layout, Step, StepKind, plan_steps
+from ocnf_model.tables.write import to_latex, to_markdown, to_table_csv
+from ocnf_model.training.settings import TrainSettings
+
+MARK = "ocnf-tables.json"
+"""File that tells a folder of tables from others."""
+LOG = "steps.jsonl"
+"""What was done: a line a step, with the time and size that were planned and those that it took."""
+_FULL = 1.5  # an estimate may be off by this factor
+
+
+@dataclass(frozen=True)
+class TablePlan:
+    """What is to be done.
+
+    Attributes:
+        steps: all steps, in order.
+        left: those that are not done.
+        estimates: what those that are left take, by name; empty where nothing was measured.
+        notes: a sentence for each table that cannot be made.
+    """
+
+    steps: list[Step]
+    left: list[Step]
+    estimates: dict[str, Estimate]
+    notes: list[str]
+
+    def lines(self) -> list[str]:
+        """A line a step that is left, and the sum."""
+        found = []
+        for step in self.left:
+            estimate = self.estimates.get(step.name)
+            found.append(step.name if estimate is None else
+                         f"{step.name}: {duration(estimate.seconds)}, {megabytes(estimate.size)}")
+        done = len(self.steps) - len(self.left)
+        seconds = sum(one.seconds for one in self.estimates.values())
+        size = sum(one.size for one in self.estimates.values())
+        total = f": {duration(seconds)}, {megabytes(size)}" if self.estimates else ""
+        return [*found, f"{len(self.left)} steps to do, {done} done before{total}"]
+
+
+def make_tables(
+    name: str, root: str | Path, out: str | Path, *, meshes: int | None = None, test: int | None = None,
+    settings: TrainSettings | None = None, resolutions: Sequence[int] | None = None,
+    epochs: Sequence[int] | None = None, hours: float | None = None, categories: Sequence[str] | None = None,
+    stand_ins: Mapping[str, str] | None = None, weight_models: int = 5, device: str = "auto", jobs: int = 1,
+    dry_run: bool = False, console: Console | None = None,
+) -> TablePlan:
+    """Make a table of the paper, or all, in a folder; what is there already is used.
+
+    Args:
+        name: one of `TABLE_NAMES`, or `all`.
+        root: folder of the meshes, `ROOT/category/train|test/*.off` as in ModelNet.
+        out: folder of everything that is made; a new one, or one that this function made.
+        meshes: meshes to train a network on, over all categories; None: the paper's 200 of each.
+        test: meshes of each category to test on; None: the paper's 20.
+        settings: of training, but for input and encoding; None: the paper's.
+        resolutions: level by level; None: the paper's, as many as the settings have levels.
+        epochs: of each level; None: those of the settings.
+        categories: folders of the root; None: the paper's nine where the root has them, else all.
+        stand_ins: folders of the root that are taken for categories of the paper.
+        weight_models: validation models that TV-L1's weight is chosen on.
+        hours: training time of each network, in the place of epochs; they are counted by measured rates.
+        device: where networks are trained and run: auto, cpu, cuda, ...
+        jobs: worker processes of generation.
+        dry_run: measure and print the plan, and do none of it.
+        console: where the plan, the progress and the tables' paths are printed.
+
+    Returns:
+        The plan, as it was before anything was done.
+
+    Raises:
+        OcnfError: no such table, a budget too small, a category that is missing, a folder of something else,
+            a full disk, ...
+    """
+    console = console or Console(stderr=True, emoji=False)
+    root, out = Path(root), Path(out)
+    tables, notes = _wanted(name)
+    if epochs is not None and hours is not None:
+        raise OcnfError("epochs and hours are two budgets for the same thing", field="--hours",
+                        found=f"{hours:g} and --epochs", fix="give one of them")
+    budget = make_budget(root, tables, meshes=meshes, test=test, settings=settings, resolutions=resolutions,
+                         epochs=epochs, categories=categories, stand_ins=stand_ins,
+                         weight_models=weight_models)
+    store = Store(out)
+    _refuse_others(store)
+    with exclusive(store):
+        if not store.exists(MARK):
+            store.put_bytes(MARK, canonical_json({"schema": 1, "kind": "tables"}))
+        layout = _layout(out, budget, root)
+        rates = read_rates(layout, device)
+        if rates is None and (dry_run or hours is not None):
+            rates = calibrate(layout, root, device, console)
+        if hours is not None:
+            assert rates is not None
+            seconds = Estimator(rates, layout, root, jobs).epoch_seconds()
+            paper = [PAPER_EPOCHS[min(level, 2)] for level in range(len(seconds))]
+            budget = budget.with_epochs(epochs_within(hours, seconds, rates.train_fixed, paper))
+            layout = _layout(out, budget, root)
+        steps = plan_steps(tables, layout)
+        left = [step for step in steps if not layout.is_done(step)]
+        estimator = None if rates is None else Estimator(rates, layout, root, jobs)
+        estimates = {} if estimator is None else {step.name: estimator.of(step) for step in left}
+        plan = TablePlan(steps, left, estimates, notes)
+        for line in plan.lines():
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+        if not dry_run:
+            _check_space(plan, out)
+            executor = Executor(layout, root, device, jobs, console)
+            for step in left:
+                _do(step, executor, layout, root, device, plan.estimates.get(step.name), console)
+        for note in notes:
+            console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+    return plan
+
+
+def _wanted(name: str) -> tuple[list[TableSpec], list[str]]:
+    """The tables of a name, and a sentence for each that cannot be made."""
+    tables = [load_table(one) for one in (TABLE_NAMES if name == "all" else [name])]
+    missing = [f"the table {table.name} is not made: {table.unavailable}"
+               for table in tables if table.unavailable is not None]
+    if missing and name != "all":
+        made = ", ".join(one for one in TABLE_NAMES if load_table(one).unavailable is None)
+        raise OcnfError(f"the table cannot be made: {tables[0].unavailable}", code="missing", field="NAME",
+                        found=name, expected=made)
+    return [table for table in tables if table.unavailable is None], missing
+
+
+def _refuse_others(store: Store) -> None:
+    if store.exists(MARK):
+        return
+    strangers = [name for name in store.list() if name != ".lock"]
+    if strangers:
+        raise OcnfError("the folder is not empty, and holds no tables", code="occupied", where=store.url,
+                        found=strangers[0], fix="name a new folder: nothing is overwritten")
+
+
+def _layout(out: Path, budget: Budget, root: Path) -> Layout:
+    entries = listed(budget, root)
+    sizes = {}
+    for entry in entries:
+        path = root / str(entry.path)
+        with storage_errors(path):
+            sizes[str(entry.path)] = path.stat().st_size
+    return Layout(out, budget, entries, sizes)
+
+
+def _check_space(plan: TablePlan, out: Path) -> None:
+    needed, free = sum(one.size for one in plan.estimates.values()), shutil.disk_usage(out).free
+    if needed > _FULL * free:
+        raise OcnfError("the disk is too small for what is planned", code="disk_full", where=out,
+                        found=f"{megabytes(free)} free", expected=f"about {megabytes(needed)}",
+                        fix="free some space, or plan for less: nothing was begun")
+
+
+def _do(step: Step, executor: Executor, layout: Layout, root: Path, device: str, estimate: Estimate | None,
+        console: Console) -> None:
+    console.print(f"[bold]{escape(step.name)}[/]", highlight=False)
+    begin = time.perf_counter()
+    if step.kind is StepKind.WRITE:
+        assert step.table is not None
+        _write(step.table, layout, root, device, console)
+    else:
+        executor.do(step)
+    made = layout.out / step.target
+    size = made.stat().st_size if step.kind in (StepKind.WRITE, StepKind.CHOOSE_WEIGHT, StepKind.TIME,
+                                                StepKind.DRAW) else folder_size(made.parent)
+    line = {"step": step.name, "seconds": round(time.perf_counter() - begin, 1), "bytes": size}
+    if estimate is not None:
+        line |= {"planned_seconds": round(estimate.seconds, 1), "planned_bytes": round(estimate.size)}
+    store = Store(layout.out)
+    before = store.read_bytes(LOG) if store.exists(LOG) else b""
+    store.put_bytes(LOG, before + json.dumps(line).encode() + b"\n")
+
+
+def _write(table: TableSpec, layout: Layout, root: Path, device: str, console: Console) -> None:
+    figures = TableFigures(table, layout)
+    above = differences(table, layout.budget, listed(layout.budget, root), machine(device))
+    files = {"csv": to_table_csv(table, figures.cells), "tex": to_latex(table, figures.cells, above),
+             "md": to_markdown(table, figures.cells, list(figures.readings()), above)}
+    for ending, text in files.items():
+        Store(layout.out / "tables").put_bytes(f"{table.name}.{ending}", text.encode())
+    console.print(f"{layout.out / 'tables' / table.name}.md, .csv, .tex", highlight=False, soft_wrap=True)
+
+
+def machine(device: str) -> str:
+    """The machine in words: its processor, how many threads are used, and the device that was asked for."""
+    import torch
+
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device.startswith("cuda"):
+        return torch.cuda.get_device_name(device)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"CPU ({platform.machine()}), {cores} cores, {torch.get_num_threads()} threads"
+
+
+def folder_size(folder: Path) -> int:
+    """Bytes of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def megabytes(size: float) -> str:
+    """Bytes in words."""
+    return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.1f} GB"
