@@ -104,7 +104,8 @@ def make_budget(
         meshes: meshes to train a network on, over all categories; None: 200 of each.
         test: meshes of each category to test on; None: 20.
         settings: of training; None: the paper's. Their `levels` are kept.
-        resolutions: level by level; None: 64, 128, 256, as many as there are levels.
+        resolutions: level by level, as many as the settings have levels; None: those of the settings, else
+            64, 128, 256.
         epochs: of each level, the last number for all later ones; None: those of the settings.
         categories: folders of the root; None: the paper's nine where the root has them, else all.
         stand_ins: folders of the root that are taken for categories of the paper.
@@ -132,8 +133,11 @@ def make_budget(
     if epochs is not None and (not epochs or min(epochs) < 1):
         raise OcnfError("the budget is too small for one epoch", code="budget", field="--epochs",
                         found=list(epochs), expected="at least 1 for each level")
-    grids = tuple(resolutions or PAPER_RESOLUTIONS)[: settings.levels]
-    fields = {**settings.to_dict(), "resolutions": list(grids), "levels": len(grids)}
+    grids = tuple(resolutions or settings.resolutions or PAPER_RESOLUTIONS[: settings.levels])
+    if len(grids) != settings.levels:
+        raise OcnfError("the levels do not fit the resolutions", field="levels", found=settings.levels,
+                        expected=f"{len(grids)}, for {', '.join(map(str, grids))}")
+    fields = {**settings.to_dict(), "resolutions": list(grids)}
     budget = Budget(chosen, n_train, max(1, min(PAPER_VAL, n_train // 5)),
                     PAPER_TEST if test is None else test, read_settings(fields, "the budget"), stand_ins,
                     weight_models)
