@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -210,6 +211,7 @@ class TableSpec(Strict):
         return tuple(dict.fromkeys([*named, *left_out]))
 
 
+@cache
 def load_table(name: str) -> TableSpec:
     """The table of that name.
 
