@@ -10,16 +10,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.manifest import Entry, Manifest
-from ocnf_model.tables.schema import PAPER_CATEGORIES, InputSpec, NetworkSpec, TableSpec
+from ocnf_model.tables.schema import PAPER_CATEGORIES, InputSpec, NetworkSpec, Pipeline, TableSpec
 from ocnf_model.training.settings import TrainSettings, read_settings
 
 PAPER_TRAIN, PAPER_VAL, PAPER_TEST = 200, 5, 20
 """Meshes of each category in the published selection."""
+SCAN_TRAIN, SCAN_TEST = 12, 6
+"""Of the paper's 20 configurations of each scan; two more validate."""
 PAPER_RESOLUTIONS = (64, 128, 256)
 PAPER_EPOCHS = (50, 25, 25)
 
@@ -29,11 +32,12 @@ class Budget:
     """What a command is to spend.
 
     Attributes:
-        categories: folders of the root that are used.
-        train, val, test: meshes of each category, or as many as there are.
+        categories: folders of the root that are used: categories of meshes, or scans.
+        train, val, test: meshes of each category, or as many as there are; or configurations of each scan.
         settings: of training, but for input and encoding; levels and epochs among them.
         stand_ins: the root's folder that is taken for a category of the paper, by the paper's name.
         weight_models: validation models that TV-L1's weight is chosen on.
+        of_scans: whether the root holds scans: depth frames of a real sensor.
     """
 
     categories: tuple[str, ...]
@@ -43,6 +47,7 @@ class Budget:
     settings: TrainSettings
     stand_ins: Mapping[str, str] = field(default_factory=dict)
     weight_models: int = 5
+    of_scans: bool = False
 
     @property
     def resolutions(self) -> tuple[int, ...]:
@@ -70,15 +75,19 @@ class Budget:
         """The data set with this input; normalisation, cameras and truncation are the paper's.
 
         The first `val` files of a category's `train` folder validate, those after them train: so the
-        validation meshes stay the same whatever the number of those to train on.
+        validation meshes stay the same whatever the number of those to train on. Scans are cut in time.
         """
-        return Manifest.from_dict({
-            "schema": 1, "name": name,
-            "source": {"kind": "modelnet", "categories": list(self.categories), "counts": {
+        if self.of_scans:
+            source: dict[str, Any] = {
+                "kind": "sequence", "scans": list(self.categories), "frames": "0:1000", "disjoint": False,
+                "configurations": {"train": self.train, "val": self.val, "test": self.test}}
+        else:
+            source = {"kind": "modelnet", "categories": list(self.categories), "counts": {
                 "val": {"folder": "train", "skip": 0, "count": self.val},
                 "train": {"folder": "train", "skip": self.val, "count": self.train},
-                "test": {"folder": "test", "skip": 0, "count": self.test}}},
-            "resolutions": list(self.resolutions),
+                "test": {"folder": "test", "skip": 0, "count": self.test}}}
+        return Manifest.from_dict({
+            "schema": 1, "name": name, "source": source, "resolutions": list(self.resolutions),
             "inputs": [{"name": name, "views": spec.views, "sigma": spec.sigma,
                         "encodings": [str(encoding) for encoding in spec.encodings]}]})
 
@@ -99,8 +108,8 @@ def make_budget(
     """The budget that a user names; what is not named is the paper's.
 
     Args:
-        root: folder of the meshes, `ROOT/category/train|test/*.off` as in ModelNet.
-        tables: the tables that are to be made.
+        root: folder of the meshes, `ROOT/category/train|test/*.off` as in ModelNet; or of scans.
+        tables: the tables that are to be made, all of meshes or all of scans.
         meshes: meshes to train a network on, over all categories; None: 200 of each.
         test: meshes of each category to test on; None: 20.
         settings: of training; None: the paper's. Their `levels` are kept.
@@ -116,7 +125,8 @@ def make_budget(
     """
     stand_ins = dict(stand_ins or {})
     settings = settings or TrainSettings()
-    there = _categories_of(root)
+    of_scans = all(table.pipeline is Pipeline.SCANS for table in tables)
+    there = _folders_of(root, of_scans)
     chosen = _choose_categories(root, there, categories, stand_ins)
     for table in tables:
         for category in table.needed:
@@ -125,7 +135,8 @@ def make_budget(
                                 code="missing", where=root, field="categories",
                                 found=", ".join(chosen), expected=stand_ins.get(category, category),
                                 fix=f"let another take its place: --stand-in {category}=FOLDER")
-    n_train = PAPER_TRAIN if meshes is None else meshes // len(chosen)
+    n_train, n_test = (SCAN_TRAIN, SCAN_TEST) if of_scans else (PAPER_TRAIN, PAPER_TEST)
+    n_train = n_train if meshes is None else meshes // len(chosen)
     if n_train < 1:
         raise OcnfError("the budget is too small for one epoch: fewer meshes than categories", code="budget",
                         field="--meshes", found=meshes, expected=f"at least {len(chosen)}, one of each",
@@ -139,8 +150,8 @@ def make_budget(
                         expected=f"{len(grids)}, for {', '.join(map(str, grids))}")
     fields = {**settings.to_dict(), "resolutions": list(grids)}
     budget = Budget(chosen, n_train, max(1, min(PAPER_VAL, n_train // 5)),
-                    PAPER_TEST if test is None else test, read_settings(fields, "the budget"), stand_ins,
-                    weight_models)
+                    n_test if test is None else test, read_settings(fields, "the budget"), stand_ins,
+                    weight_models, of_scans)
     return budget.with_epochs(epochs or budget.epochs)
 
 
@@ -162,10 +173,14 @@ def listed(budget: Budget, root: Path) -> list[Entry]:
     return entries
 
 
-def _categories_of(root: Path) -> tuple[str, ...]:
+def _folders_of(root: Path, of_scans: bool) -> tuple[str, ...]:
+    """The categories of meshes, or the scans, by name."""
     with storage_errors(root):
-        there = tuple(sorted(path.name for path in root.iterdir()
-                             if not path.name.startswith(".") and (path / "train").is_dir()))
+        there = tuple(sorted(path.name for path in root.iterdir() if not path.name.startswith(".")
+                             and (path / ("" if of_scans else "train")).is_dir()))
+    if not there and of_scans:
+        raise OcnfError("no scan found", code="empty", where=root, field="--scans",
+                        expected="folders of depth frames with poses")
     if not there:
         raise OcnfError("no category found", code="empty", where=root, field="--data",
                         expected="folders CATEGORY/train and CATEGORY/test with meshes, as in ModelNet")

@@ -25,16 +25,17 @@ def differences(table: TableSpec, budget: Budget, entries: Sequence[Entry], devi
     counts = Counter(entry.split for entry in entries)
     epochs = ", ".join(map(str, budget.epochs))
     grids = ", ".join(f"{resolution}³" for resolution in budget.resolutions)
+    what, whose = ("sets of frames", "scans") if budget.of_scans else ("meshes", "categories")
     found = [
         table.protocol,
-        f"Here: {counts['train']} meshes for training, {counts['val']} for validation and {counts['test']} "
-        f"for testing, of {len(budget.categories)} categories ({', '.join(budget.categories)}); {grids}; "
+        f"Here: {counts['train']} {what} for training, {counts['val']} for validation and {counts['test']} "
+        f"for testing, of {len(budget.categories)} {whose} ({', '.join(budget.categories)}); {grids}; "
         f"{epochs} epochs.",
         *_settings(budget.settings)]
     found += [f"The folder {folder} takes the place of the paper's category {category}."
               for category, folder in budget.stand_ins.items()]
     strangers = sorted(set(budget.categories) - set(PAPER_CATEGORIES) - set(budget.stand_ins.values()))
-    if strangers:
+    if strangers and not budget.of_scans:
         found.append(f"Not among the paper's categories, as far as they are known: {', '.join(strangers)}.")
     if budget.resolutions != PAPER_RESOLUTIONS[: len(budget.resolutions)]:
         found.append(f"The rows stand for the levels: {grids} here, for the paper's 64³, 128³, 256³.")
@@ -42,8 +43,8 @@ def differences(table: TableSpec, budget: Budget, entries: Sequence[Entry], devi
         found.append(f"Figures here end at {budget.resolutions[-1]}³"
                      + ("; a table of one resolution has them there, where the paper's are at 256³."
                         if all(row.level is None for row in table.rows) else "."))
-    found.append(f"TV-L1's weight is chosen on {min(budget.weight_models, counts['val'])} validation meshes "
-                 "for each input and resolution; the paper says cross-validation.")
+    found.append(f"TV-L1's weight is chosen on {min(budget.weight_models, counts['val'])} of the {what} for "
+                 "validation, for each input and resolution; the paper says cross-validation.")
     if table.quantity is Quantity.SECONDS:
         found.append(f"Run on: {device}.")
     return [*found, *table.remarks]

@@ -29,7 +29,7 @@ from ocnf_data.verify.summary import describe
 from ocnf_model.evaluation.run import run_choose_weight
 from ocnf_model.tables.budget import Budget, listed
 from ocnf_model.tables.execute import Executor
-from ocnf_model.tables.schema import InputSpec, NetworkSpec
+from ocnf_model.tables.schema import InputSpec, NetworkSpec, TableSpec
 from ocnf_model.tables.steps import Layout, Step, StepKind
 from ocnf_model.training.curves import CURVES
 from ocnf_model.training.run import train
@@ -168,8 +168,16 @@ def read_rates(layout: Layout, device: str) -> Rates | None:
         return None  # measured again
 
 
-def calibrate(layout: Layout, root: Path, device: str, console: Console) -> Rates:
+def calibrate(layout: Layout, root: Path, device: str, console: Console,
+              tables: Sequence[TableSpec]) -> Rates:
     """Measure, and keep the result in `rates.json`.
+
+    Args:
+        layout: where the folder is, and the budget.
+        root: the folder of the meshes or scans.
+        device: where networks are trained and run.
+        console: where it is said that this goes on.
+        tables: what is planned; the input with most encodings and views is measured.
 
     Raises:
         OcnfError: whatever the pipeline refuses.
@@ -178,7 +186,7 @@ def calibrate(layout: Layout, root: Path, device: str, console: Console) -> Rate
     layout.out.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=".calibration-", dir=layout.out))
     try:
-        rates = _measure(layout.budget, root, folder, device)
+        rates = _measure(layout.budget, root, folder, device, tables)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     store = Store(layout.out)
@@ -190,10 +198,11 @@ def calibrate(layout: Layout, root: Path, device: str, console: Console) -> Rate
 
 def _key(budget: Budget, device: str) -> str:
     settings = budget.with_epochs([1]).settings.decisive()
-    return sha256_hex(canonical_json([settings, list(budget.categories), device]))[:16]
+    kind = ["scans"] if budget.of_scans else []
+    return sha256_hex(canonical_json([settings, list(budget.categories), device, *kind]))[:16]
 
 
-def _measure(budget: Budget, root: Path, out: Path, device: str) -> Rates:
+def _measure(budget: Budget, root: Path, out: Path, device: str, tables: Sequence[TableSpec]) -> Rates:
     n = len(budget.categories)
     taken = min(n, _MOST_CATEGORIES)
     chosen = tuple(budget.categories[i * n // taken] for i in range(taken))
@@ -202,8 +211,8 @@ def _measure(budget: Budget, root: Path, out: Path, device: str) -> Rates:
     layout = Layout(out, small.with_epochs([2]), listed(small, root), {})
     quiet = Console(quiet=True)
     executor = Executor(layout, root, device, 1, quiet)
-    name = "v4_n02"
-    spec = layout.input(name, InputSpec(views=4, sigma=0.02, encodings=(Encoding.HISTOGRAM,)))
+    inputs = {name: layout.input(name, spec) for table in tables for name, spec in table.inputs.items()}
+    name, spec = max(inputs.items(), key=lambda one: (len(one[1].encodings), one[1].views, one[0]))
     network = NetworkSpec(input=name, encoding=Encoding.HISTOGRAM)
     data = out / "data" / layout.data(name, spec)
     run = layout.run(network, spec)

@@ -24,7 +24,7 @@ from ocnf_model.tables.cells import TableFigures
 from ocnf_model.tables.differences import differences
 from ocnf_model.tables.execute import Executor
 from ocnf_model.tables.rates import Estimate, Estimator, calibrate, epochs_within, read_rates
-from ocnf_model.tables.schema import TABLE_NAMES, TableSpec, load_table
+from ocnf_model.tables.schema import TABLE_NAMES, Pipeline, TableSpec, load_table
 from ocnf_model.tables.steps import Layout, Step, StepKind, plan_steps
 from ocnf_model.tables.write import to_latex, to_markdown, to_table_csv
 from ocnf_model.training.settings import TrainSettings
@@ -71,7 +71,7 @@ def make_tables(
     settings: TrainSettings | None = None, resolutions: Sequence[int] | None = None,
     epochs: Sequence[int] | None = None, hours: float | None = None, categories: Sequence[str] | None = None,
     stand_ins: Mapping[str, str] | None = None, weight_models: int = 5, device: str = "auto", jobs: int = 1,
-    dry_run: bool = False, console: Console | None = None,
+    scans: str | Path | None = None, dry_run: bool = False, console: Console | None = None,
 ) -> TablePlan:
     """Make a table of the paper, or all, in a folder; what is there already is used.
 
@@ -90,6 +90,7 @@ def make_tables(
         hours: training time of each network, in the place of epochs; they are counted by measured rates.
         device: where networks are trained and run: auto, cpu, cuda, ...
         jobs: worker processes of generation.
+        scans: folder of scans, for the table of the Kinect; its `meshes` are sets of frames.
         dry_run: measure and print the plan, and do none of it.
         console: where the plan, the progress and the tables' paths are printed.
 
@@ -101,56 +102,92 @@ def make_tables(
             a full disk, ...
     """
     console = console or Console(stderr=True, emoji=False)
-    root, out = Path(root), Path(out)
-    tables, notes = _wanted(name)
+    out = Path(out)
+    tables, notes = _wanted(name, scans is not None)
     if epochs is not None and hours is not None:
         raise OcnfError("epochs and hours are two budgets for the same thing", field="--hours",
                         found=f"{hours:g} and --epochs", fix="give one of them")
-    budget = make_budget(root, tables, meshes=meshes, test=test, settings=settings, resolutions=resolutions,
-                         epochs=epochs, categories=categories, stand_ins=stand_ins,
-                         weight_models=weight_models)
+    by_root: dict[Path, list[TableSpec]] = {}
+    for table in tables:
+        place = scans if table.pipeline is Pipeline.SCANS and scans is not None else root
+        by_root.setdefault(Path(place), []).append(table)
+    budgets = {place: make_budget(
+        place, specs, meshes=meshes, test=test, settings=settings, resolutions=resolutions, epochs=epochs,
+        categories=None if specs[0].pipeline is Pipeline.SCANS else categories,
+        stand_ins=None if specs[0].pipeline is Pipeline.SCANS else stand_ins,
+        weight_models=weight_models) for place, specs in by_root.items()}
     store = Store(out)
     _refuse_others(store)
     with exclusive(store):
         if not store.exists(MARK):
             store.put_bytes(MARK, canonical_json({"schema": 1, "kind": "tables"}))
-        layout = _layout(out, budget, root)
-        rates = read_rates(layout, device)
-        if rates is None and (dry_run or hours is not None):
-            rates = calibrate(layout, root, device, console)
-        if hours is not None:
-            assert rates is not None
-            seconds = Estimator(rates, layout, root, jobs).epoch_seconds()
-            paper = [PAPER_EPOCHS[min(level, 2)] for level in range(len(seconds))]
-            budget = budget.with_epochs(epochs_within(hours, seconds, rates.train_fixed, paper))
-            layout = _layout(out, budget, root)
-        steps = plan_steps(tables, layout)
-        left = [step for step in steps if not layout.is_done(step)]
-        estimator = None if rates is None else Estimator(rates, layout, root, jobs)
-        estimates = {} if estimator is None else {step.name: estimator.of(step) for step in left}
-        plan = TablePlan(steps, left, estimates, notes)
+        groups = [_group(by_root[place], place, out, budget, hours, device, jobs, dry_run, console)
+                  for place, budget in budgets.items()]
+        plan = TablePlan([step for group in groups for step in group.steps],
+                         [step for group in groups for step in group.left],
+                         {name: one for group in groups for name, one in group.estimates.items()}, notes)
         for line in plan.lines():
             console.print(line, highlight=False, markup=False, soft_wrap=True)
         if not dry_run:
             _check_space(plan, out)
-            executor = Executor(layout, root, device, jobs, console)
-            for step in left:
-                _do(step, executor, layout, root, device, plan.estimates.get(step.name), console)
+            for group in groups:
+                for step in group.left:
+                    _do(step, group, device, console)
         for note in notes:
             console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     return plan
 
 
-def _wanted(name: str) -> tuple[list[TableSpec], list[str]]:
+@dataclass(frozen=True)
+class TableGroup:
+    """Tables of one root: of the meshes, or of the scans.
+
+    Attributes:
+        root: the folder of the meshes or scans.
+        layout: where everything goes.
+        executor: does the steps.
+        steps, left, estimates: as in `TablePlan`.
+    """
+
+    root: Path
+    layout: Layout
+    executor: Executor
+    steps: list[Step]
+    left: list[Step]
+    estimates: dict[str, Estimate]
+
+
+def _group(tables: list[TableSpec], root: Path, out: Path, budget: Budget, hours: float | None, device: str,
+           jobs: int, dry_run: bool, console: Console) -> TableGroup:
+    layout = _layout(out, budget, root)
+    rates = read_rates(layout, device)
+    if rates is None and (dry_run or hours is not None):
+        rates = calibrate(layout, root, device, console, tables)
+    if hours is not None:
+        assert rates is not None
+        seconds = Estimator(rates, layout, root, jobs).epoch_seconds()
+        paper = [PAPER_EPOCHS[min(level, 2)] for level in range(len(seconds))]
+        budget = budget.with_epochs(epochs_within(hours, seconds, rates.train_fixed, paper))
+        layout = _layout(out, budget, root)
+    steps = plan_steps(tables, layout)
+    left = [step for step in steps if not layout.is_done(step)]
+    estimator = None if rates is None else Estimator(rates, layout, root, jobs)
+    estimates = {} if estimator is None else {step.name: estimator.of(step) for step in left}
+    return TableGroup(root, layout, Executor(layout, root, device, jobs, console), steps, left, estimates)
+
+
+def _wanted(name: str, has_scans: bool) -> tuple[list[TableSpec], list[str]]:
     """The tables of a name, and a sentence for each that cannot be made."""
     tables = [load_table(one) for one in (TABLE_NAMES if name == "all" else [name])]
-    missing = [f"the table {table.name} is not made: {table.unavailable}"
-               for table in tables if table.unavailable is not None]
-    if missing and name != "all":
+    reasons = {table.name: table.unavailable or "it needs scans: give their folder with --scans DIR"
+               for table in tables
+               if table.unavailable or (table.pipeline is Pipeline.SCANS and not has_scans)}
+    if reasons and name != "all":
         made = ", ".join(one for one in TABLE_NAMES if load_table(one).unavailable is None)
-        raise OcnfError(f"the table cannot be made: {tables[0].unavailable}", code="missing", field="NAME",
+        raise OcnfError(f"the table cannot be made: {reasons[name]}", code="missing", field="NAME",
                         found=name, expected=made)
-    return [table for table in tables if table.unavailable is None], missing
+    return ([table for table in tables if table.name not in reasons],
+            [f"the table {table} is not made: {reason}" for table, reason in reasons.items()])
 
 
 def _refuse_others(store: Store) -> None:
@@ -168,7 +205,7 @@ def _layout(out: Path, budget: Budget, root: Path) -> Layout:
     for entry in entries:
         path = root / str(entry.path)
         with storage_errors(path):
-            sizes[str(entry.path)] = path.stat().st_size
+            sizes[str(entry.path)] = folder_size(path) if path.is_dir() else path.stat().st_size
     return Layout(out, budget, entries, sizes)
 
 
@@ -180,15 +217,15 @@ def _check_space(plan: TablePlan, out: Path) -> None:
                         fix="free some space, or plan for less: nothing was begun")
 
 
-def _do(step: Step, executor: Executor, layout: Layout, root: Path, device: str, estimate: Estimate | None,
-        console: Console) -> None:
+def _do(step: Step, group: TableGroup, device: str, console: Console) -> None:
+    layout, estimate = group.layout, group.estimates.get(step.name)
     console.print(f"[bold]{escape(step.name)}[/]", highlight=False)
     begin = time.perf_counter()
     if step.kind is StepKind.WRITE:
         assert step.table is not None
-        _write(step.table, layout, root, device, console)
+        _write(step.table, layout, group.root, device, console)
     else:
-        executor.do(step)
+        group.executor.do(step)
     made = layout.out / step.target
     size = made.stat().st_size if step.kind in (StepKind.WRITE, StepKind.CHOOSE_WEIGHT, StepKind.TIME,
                                                 StepKind.DRAW) else folder_size(made.parent)
