@@ -69,6 +69,19 @@ def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduc
     return _reduce(pair, (pair.prediction - pair.target).abs(), reduction)
 
 
+def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
+                      reduction: str = Reduction.MEAN) -> Tensor:
+    """`l1_loss`, but a prediction beyond 1 costs nothing where the target is 1, nor below -1 where it is -1.
+
+    A TSDF is cut off there, and so is the prediction before it is used or measured: all distances beyond the
+    truncation are as right as its very value. A network need not hit 1 exactly in all of the free space.
+    """
+    pair = Pair.of(prediction, target)
+    beyond = (pair.target.abs() >= 1) & (pair.prediction * pair.target.sign() > 1)  # (L, C)
+    costs = (pair.prediction - pair.target).abs().masked_fill(beyond, 0.0)
+    return _reduce(pair, costs, reduction)
+
+
 def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
     """Mean binary cross entropy over the voxels, of logits against occupancies in [0, 1]."""
     pair = Pair.of(logits, occupancy)

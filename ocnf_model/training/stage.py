@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,18 +27,20 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
     torch_version,
 )
-from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
+from ocnf_model.training.average import WeightAverage
 from ocnf_model.training.batches import Example, make_example
 from ocnf_model.training.choice import is_better
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
-from ocnf_model.training.settings import Precision, TrainSettings
+from ocnf_model.training.settings import Loss, Precision, TrainSettings
 from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
-LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
+LOSSES: dict[Loss | Output, Callable[..., Tensor]] = {
+    Loss.L1: l1_loss, Loss.TRUNCATED_L1: truncated_l1_loss, Output.OCCUPANCY: bce_loss}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,9 @@ class Trainer:
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
         check_step(job.folder, state, len(job.training), self._stage.accumulate,
                    exact=job.settings.on_error is OnError.RAISE)
-        restore(tensors, self._level, self._optimiser)
+        decay = job.settings.average
+        self._average = WeightAverage(self._level, decay) if decay else None
+        restore(tensors, self._level, self._optimiser, self._average)
         if state.loader is not None:
             job.training.load_state_dict(state.loader)
 
@@ -102,8 +107,12 @@ class Trainer:
             if state.step < len(self._job.training):
                 self._train(loader)
             self._save()
-            found = self._validate(validation)
-            self._finish_epoch(found, time.monotonic() - began)
+            with self._average.in_use() if self._average else nullcontext():
+                found = self._validate(validation)
+                row = self._row(found, time.monotonic() - began)
+                if row.best and self._job.world.is_main:
+                    save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
+            self._finish_epoch(row, found)
 
     # ---- training
 
@@ -133,7 +142,8 @@ class Trainer:
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        loss = LOSSES[self._job.network.output]
+        occupancy = self._job.network.output is Output.OCCUPANCY
+        loss = LOSSES[Output.OCCUPANCY if occupancy else self._job.settings.loss]
         if self._stage.crop is None:
             losses = loss(self._forward(example).raw, example.target, "none")
         else:
@@ -164,6 +174,8 @@ class Trainer:
         self._job.world.average(self._level.buffers())
         self._optimiser.zero_grad()
         self._state.steps += 1
+        if self._average is not None:
+            self._average.update(self._state.steps)
         first = [not again for batch, _ in met for again in batch.repeat]
         total, count, everything, n = self._job.world.sum([
             sum(loss for loss, counts in zip(losses, first, strict=True) if counts), sum(first),
@@ -201,15 +213,16 @@ class Trainer:
             raise OcnfError("no validation sample could be read", code="empty", where=job.folder)
         return found
 
-    def _finish_epoch(self, found: Validation, seconds: float) -> None:
+    def _row(self, found: Validation, seconds: float) -> EpochRow:
         state = self._state
         row = EpochRow(
             level=state.level + 1, epoch=state.epoch + 1, resolution=self._resolution, steps=state.steps,
             train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=found.mad, val_iou=found.iou,
             seconds=round(seconds, 3), best=False, val_f_score=found.f_score)
-        row = replace(row, best=is_better(row, state.best, self._job.settings.best_by))
-        if row.best and self._job.world.is_main:
-            save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
+        return replace(row, best=is_better(row, state.best, self._job.settings.best_by))
+
+    def _finish_epoch(self, row: EpochRow, found: Validation) -> None:
+        state = self._state
         state.rows.append(row)
         state.epoch, state.step = state.epoch + 1, 0
         state.loss_sum = state.loss_count = 0.0
@@ -249,7 +262,7 @@ class Trainer:
 
     def _save(self) -> None:
         if self._job.world.is_main:
-            save_state(self._job.folder, self._state, self._level, self._optimiser)
+            save_state(self._job.folder, self._state, self._level, self._optimiser, self._average)
 
 
 def _is_finite(value: float) -> bool:

@@ -13,7 +13,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.octree.occupied import occupied
 from ocnf_model import OctreeBatch, split_surface
 from ocnf_model.evaluation.measure import Field
-from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.octree.leafmap import leaf_means
 
@@ -43,6 +43,21 @@ def test_losses_and_gradients_equal_the_dense_ones(data, batches, make_batch, de
                                    torch.autograd.grad(theirs, features, retain_graph=True),
                                    rtol=1e-10, atol=1e-12)
     torch.testing.assert_close(l1_loss(a, b, "none"), (p - g).abs().mean(dim=(1, 2, 3, 4)))
+
+
+@few
+@given(data=st.data())
+def test_beyond_the_truncation_the_right_side_costs_nothing(data, batches, make_batch, dense) -> None:
+    a, b = data.draw(pairs(batches, make_batch))
+    b = b.with_features((2 * b.features).clamp(-1, 1))
+    features = (2 * a.features).requires_grad_()
+    a = a.with_features(features)
+    p, g = dense.expand(a), dense.expand(b)
+    bounded = torch.where(g == 1, p.clamp(max=1), torch.where(g == -1, p.clamp(min=-1), p))
+    ours, theirs = truncated_l1_loss(a, b), (bounded - g).abs().mean()
+    torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(torch.autograd.grad(ours, features), torch.autograd.grad(theirs, features),
+                               rtol=1e-10, atol=1e-12)
 
 
 @few
