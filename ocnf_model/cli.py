@@ -6,13 +6,16 @@ A command imports what it needs when it runs, so that `--help` answers at once.
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
+from typer.core import TyperCommand
 
+from ocnf_data.errors import OcnfError
 from ocnf_data.terminal import run_app, show_version, stoppable
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.tables.command import tables_command
@@ -149,6 +152,8 @@ def evaluate_command(
     meshes: Annotated[Path | None, typer.Option(
         metavar="DIR", help="The folder that the data set was made from: measure surfaces against its meshes "
                             "instead of the finest ground truth.")] = None,
+    html: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="Also write a page with every model in 3-D, to be opened in a browser.")] = None,
 ) -> None:
     """Compare the network with plain and TV-L1 fusion: error by region, surface, overlap, time; and a figure.
 
@@ -159,7 +164,7 @@ def evaluate_command(
 
     methods = [str(name) for name in method] if method else None
     run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
-                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes)
+                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes, html=html)
 
 
 @app.command("choose-weight")
@@ -192,26 +197,59 @@ app.command("tables")(stoppable(
     _err, "what is finished is kept, and the same command goes on")(tables_command))
 
 
-@app.command("fuse")
-@stoppable(_err, "{out} is written at the end only, and the same command starts again")
+class _OneBox(TyperCommand):
+    """A command line by itself would take the last of several boxes, in silence."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse a second `--box`."""
+        if (n := args.count("--box")) > 1:
+            raise OcnfError("given more than once", field="--box", found=f"{n} boxes", expected="one",
+                            fix="fuse each box by a command of its own")
+        return super().parse_args(ctx, args)
+
+
+@app.command("fuse", cls=_OneBox)
+@stoppable(_err, "meshes are written at the end only, and the same command starts again")
 def fuse_command(
     run: Run,
     scan: Annotated[str, typer.Argument(
         metavar="SCAN", help="Depth with poses: `views.h5::KEY`, or a folder: 7-Scenes, TUM RGB-D, "
                              "Open3D, transforms.json, ScanNet, Voxlets.")],
-    out: Annotated[Path, typer.Option(metavar="MESH", help="The mesh to write: .ply, .obj, .off or .stl.")],
+    out: Annotated[Path | None, typer.Option(
+        metavar="MESH", help="The mesh to write: .ply, .obj, .glb, .off or .stl. Of several methods, "
+                             "MESH-METHOD each. May be left out with --preview.")] = None,
     box: Annotated[tuple[float, float, float, float, float, float] | None, typer.Option(
         metavar="X0 Y0 Z0 X1 Y1 Z1",
-        help="Region in the scan's coordinates; the largest object if not given.")] = None,
-    method: Annotated[Method, typer.Option(help="The method that fuses.")] = Method.OURS,
+        help="Region in the scan's coordinates, metres; the largest object if not given.")] = None,
+    room: Annotated[bool, typer.Option("--room", help="Fuse everything that the frames see.")] = False,
+    voxel: Annotated[float | None, typer.Option(
+        metavar="METRES", help="Size of a voxel: the region is worked in as many cubes as that takes. [the "
+                               "region fits one cube]")] = None,
+    method: Annotated[list[str] | None, typer.Option(
+        metavar="NAME,...", help="The method that fuses, network (also: ours), volfus or tvl1; or several. "
+                                 "[network]")] = None,
     resolution: Annotated[int | None, typer.Option(
-        help="Voxels along the region; the finest that RUN has if not given.")] = None,
+        help="Voxels along a cube. [the finest that RUN has, 256 for the others]")] = None,
     device: Device = "auto",
     weight: Annotated[float | None, typer.Option(
         help="Weight of TV-L1's data term; small is smooth.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Take every n-th frame only.")] = 1,
     frames: Annotated[str | None, typer.Option(
         metavar="N|A:B:C", help="How many frames, evenly spread, or a range of them. [all]")] = None,
+    max_depth: Annotated[float | None, typer.Option(
+        metavar="METRES", help="Do not use what was measured farther away.")] = None,
+    keep_unseen: Annotated[bool, typer.Option(
+        "--keep-unseen", help="Keep surfaces that close off what no camera has seen.")] = False,
+    keep_all: Annotated[bool, typer.Option(
+        "--keep-all", help="Keep loose parts of the surface, of less than 16 voxels.")] = False,
+    faces: Annotated[int | None, typer.Option(
+        metavar="N", help="Decimate each mesh to about N faces.")] = None,
+    tsdf: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="Write the TSDF too: .npz is dense, .oc an octree.")] = None,
+    picture: Annotated[Path | None, typer.Option(
+        metavar="PNG", help="Draw the surfaces of all methods side by side.")] = None,
+    preview: Annotated[Path | None, typer.Option(
+        metavar="PNG", help="First draw the region over the measured points and the cameras.")] = None,
     format_: Annotated[str | None, typer.Option(
         "--format", metavar="NAME",
         help="7scenes, tum, open3d, transforms, scannet or voxlets. [what the folder holds]")] = None,
@@ -225,19 +263,21 @@ def fuse_command(
         help="Metres a unit of the poses' translations: 0.001 for millimetres.")] = 1.0,
     crop: Annotated[str, typer.Option(
         metavar="L,T,R,B", help="Pixels along the borders of the depth maps that are not used.")] = "0,0,0,0",
-    keep_unseen: Annotated[bool, typer.Option(
-        "--keep-unseen", help="Keep surfaces that close off what no camera has seen.")] = False,
 ) -> None:
     """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
-    from ocnf_model.scan.fuse import run_fuse
+    began = time.perf_counter()
+    _out.print(f"fusing {escape(scan)}: loading", highlight=False, soft_wrap=True)
+
+    from ocnf_model.scan.run import Asked, run_fuse
     from ocnf_model.training.options import parse_list
 
     reading = {
-        "frames": frames, "format": format_, "depth_scale": depth_scale, "poses": poses,
+        "frames": frames, "every": every, "format": format_, "depth_scale": depth_scale, "poses": poses,
         "pose_scale": pose_scale, "crop": parse_list("crop", crop),
         "intrinsics": None if intrinsics is None else parse_list("intrinsics", intrinsics)}
-    run_fuse(run, scan, out=out, box=box, method=str(method), resolution=resolution, device=device,
-             weight=weight, every=every, keep_unseen=keep_unseen, console=_out, reading=reading)
+    run_fuse(scan, Asked(
+        out, run, method or ("ours",), box, room, voxel, resolution, max_depth,
+        keep_unseen, keep_all, faces, device, weight, tsdf, picture, preview, reading), _out, began)
 
 
 def main() -> None:

@@ -1,8 +1,9 @@
-"""Triangle meshes as bytes: PLY, OBJ, OFF and STL."""
+"""Triangle meshes as bytes: PLY, OBJ, GLB, OFF and STL."""
 
 from __future__ import annotations
 
 import io
+import json
 from typing import Protocol
 
 import numpy as np
@@ -54,11 +55,49 @@ def _stl(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
     return bytes(80) + len(faces).to_bytes(4, "little") + rows.tobytes()
 
 
+def _glb(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
+    """The bytes of a binary glTF 2.0 file: float32, drawn from both sides.
+
+    Colours are linear in glTF: what is stored in sRGB is converted, to 16 bits so that nothing is lost. The
+    scene is turned by no matrix: glTF calls y up, and what a scan calls up is not known.
+    """
+    points = vertices.astype("<f4")
+    parts = [points.tobytes(), faces.astype("<u4").tobytes()]
+    bounds = {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()} if len(points) else {}
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3", **bounds},
+        {"bufferView": 1, "componentType": 5125, "count": faces.size, "type": "SCALAR"}]
+    attributes = {"POSITION": 0}
+    if colours is not None:
+        share = np.arange(256) / 255
+        linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+        rgba = np.full((len(points), 4), 65535, "<u2")
+        rgba[:, :3] = np.rint(65535 * linear)[colours]
+        parts.append(rgba.tobytes())
+        attributes["COLOR_0"] = 2
+        accessors.append({"bufferView": 2, "componentType": 5123, "normalized": True, "count": len(points),
+                          "type": "VEC4"})
+    starts = np.cumsum([0, *(len(part) for part in parts)])
+    document = {
+        "asset": {"version": "2.0", "generator": "ocnf"}, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}],
+        "materials": [{"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0}}],
+        "accessors": accessors, "buffers": [{"byteLength": int(starts[-1])}],
+        "bufferViews": [{"buffer": 0, "byteOffset": int(start), "byteLength": len(part)}
+                        for start, part in zip(starts, parts, strict=False)]}
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = [(b"JSON", text), (b"BIN\0", b"".join(parts))]  # every part is a multiple of 4 bytes
+    body = b"".join(len(data).to_bytes(4, "little") + kind + data for kind, data in chunks)
+    return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body
+
+
 class Writer(Protocol):
     """A function from vertices (N, 3), faces (M, 3) and vertex colours (N, 3) to the bytes of a file."""
 
     def __call__(self, vertices: F64, faces: I64, colours: U8 | None = None) -> bytes: ...
 
 
-WRITERS: dict[str, Writer] = {".ply": _ply, ".obj": _obj, ".off": _off, ".stl": _stl}
-"""The writer for each suffix. STL holds float32 only; OFF and STL leave colours out."""
+WRITERS: dict[str, Writer] = {".ply": _ply, ".obj": _obj, ".glb": _glb, ".off": _off, ".stl": _stl}
+"""The writer for each suffix. GLB and STL hold float32 only; OFF and STL leave colours out."""

@@ -2,30 +2,54 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F32, F64, I64
+from ocnf_data.arrays import F64, I64
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.octree import GridOctree
+from ocnf_data.octree.boxes import cut_trees
+from ocnf_data.octree.windows import Place, Windows
 
-# A value of exactly the level at a voxel would put up to six vertices in one place. This far from it (a
-# share of tau, about 0.002 voxels) each vertex has a place of its own, and nothing visible moves.
 _CLEAR = np.float32(1e-3)
+"""How far (a share of tau, about 0.002 voxels) values are kept from the level: nothing visible moves."""
+
+
+class _Piece(NamedTuple):
+    """The surface within a window.
+
+    Attributes:
+        zyx: (n, 3) vertices, in voxels of `Windows`.
+        faces: (m, 3).
+        shared: (k,) vertices on the window's sides, which windows beside it have too.
+        edges: (k,) numbers of the voxel edges that those lie on.
+    """
+
+    zyx: F64
+    faces: I64
+    shared: I64
+    edges: I64
 
 
 def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
-                   centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[F64, I64]:
+                   centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
+                   report: Callable[[int, int], None] | None = None) -> tuple[F64, I64]:
     """Marching cubes of a TSDF octree: a closed surface around what lies below `level`, facing outwards.
 
     Every edge belongs to exactly two faces. Beyond the grid's border everything is free, so that a solid cut
-    off there is closed too. Only the trees that are not wholly free are expanded.
+    off there is closed too. It is worked window by window (64 voxels), and only where the surface passes: the
+    memory is that of the result.
 
     Args:
         octree: 1 channel, TSDF / tau: negative inside.
         extent: length of the grid along its longest axis in metres.
         level: in units of tau; above 0 the surface lies outside of the measured one.
         centre: world position (x, y, z) of the grid's centre in metres.
+        report: told (windows done, windows in all) after each.
 
     Returns:
         vertices (N, 3) in metres, x y z, and faces (M, 3); both empty where nothing is below `level`.
@@ -36,22 +60,78 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
     if octree.channels != 1:
         raise OcnfError("not a TSDF", where="octree_surface", found=f"{octree.channels} channels", expected=1)
     try:
-        from skimage.measure import marching_cubes
+        import skimage.measure  # noqa: F401
     except ImportError as error:
         raise missing_extra("marching cubes needs scikit-image", "fuse") from error
-    cropped, first_tree = occupied_box(octree, level)
-    if cropped is None:
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    values = np.pad(cropped.to_dense()[0], 1, constant_values=1.0) - np.float32(level)
-    near = np.abs(values) < _CLEAR
-    values[near] = np.where(values[near] < 0, -_CLEAR, _CLEAR)
-    zyx, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
-    while len(crowded := _crowded_edges(faces)) and _fill(values, zyx[crowded].mean(axis=1)):
-        zyx, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+    windows = Windows(octree, level, _CLEAR)
+    places = windows.places()
+    pieces: dict[Place, _Piece] = {}
+    for done, place in enumerate(places, 1):
+        pieces[place] = _cut(windows, place)
+        if report is not None:
+            report(done, len(places))
+    _mend(windows, pieces)
+    zyx, faces = _joined(pieces[place] for place in sorted(pieces))
     size = extent / max(octree.shape)
-    index = zyx[:, ::-1].astype(np.float64) - 1 + 8 * first_tree[::-1]  # voxels x y z; 1 is the border
     middle = np.array(octree.shape[::-1]) / 2
-    return (index + 0.5 - middle) * size + centre, faces.astype(np.int64)
+    return (zyx[:, ::-1] - 0.5 - middle) * size + centre, faces
+
+
+def _cut(windows: Windows, place: Place) -> _Piece:
+    from skimage.measure import marching_cubes
+
+    values = windows.values(place)
+    if not values.min() < 0 < values.max():  # the other sign was in a tree beside the window
+        return _Piece(np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty(0, np.int64),
+                      np.empty(0, np.int64))
+    local, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+    below = np.floor(local).astype(np.int64)
+    across = local > below
+    # A vertex lies on the edge between two voxels, or (some tables of Lewiner's) in the middle of a cell.
+    on_side = ((below == 0) | (below == np.array(values.shape) - 1)) & ~across
+    shared = np.flatnonzero(on_side.any(axis=1) & (across.sum(axis=1) == 1))
+    corner = windows.corner(place)
+    number = np.ravel_multi_index(tuple((below[shared] + corner).T), windows.shape)
+    return _Piece(local.astype(np.float64) + corner, faces.astype(np.int64), shared,
+                  3 * number + across[shared].argmax(axis=1))
+
+
+def _joined(pieces: Iterable[_Piece]) -> tuple[F64, I64]:
+    """Vertices (N, 3) and faces (M, 3) of pieces whose shared vertices are one each."""
+    kept = [piece for piece in pieces if len(piece.faces)]
+    if not kept:
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    first = np.cumsum([0, *(len(piece.zyx) for piece in kept)])
+    shared = np.concatenate([piece.shared + start for piece, start in zip(kept, first, strict=False)])
+    _, one, which = np.unique(np.concatenate([piece.edges for piece in kept]), return_index=True,
+                              return_inverse=True)
+    same = np.arange(first[-1])
+    same[shared] = shared[one][which]
+    used = same == np.arange(first[-1])
+    number = np.cumsum(used) - 1
+    zyx = np.concatenate([piece.zyx for piece in kept])[used]
+    faces = np.concatenate([piece.faces + start for piece, start in zip(kept, first, strict=False)])
+    return zyx, number[same[faces]]
+
+
+def _mend(windows: Windows, pieces: dict[Place, _Piece]) -> None:
+    """Cut windows again, with a voxel made solid, wherever an edge belongs to more than two faces.
+
+    Nothing is ever made free, so that this comes to an end. Only what changed and what is beside it is looked
+    at again.
+    """
+    looked_at: Mapping[Place, _Piece] = pieces
+    while looked_at:
+        zyx, faces = _joined(looked_at[place] for place in sorted(looked_at))
+        crowded = _crowded_edges(faces)
+        changed: set[Place] = set()
+        for voxel in _to_fill(windows, zyx[crowded].mean(axis=1)):
+            changed |= windows.around(voxel)
+        for place in changed:
+            pieces[place] = _cut(windows, place)
+        beside = {(z + dz, y + dy, x + dx) for z, y, x in changed
+                  for dz, dy, dx in itertools.product((-1, 0, 1), repeat=3)}
+        looked_at = {place: piece for place, piece in pieces.items() if place in beside}
 
 
 def occupied_box(octree: GridOctree, level: float = 0.0) -> tuple[GridOctree | None, I64]:
@@ -65,11 +145,7 @@ def occupied_box(octree: GridOctree, level: float = 0.0) -> tuple[GridOctree | N
     lowest = np.minimum.reduceat(octree.data[:, 0], octree.prefix[:-1]).reshape(grid)
     where = np.argwhere(lowest < 1)
     low, high = where.min(axis=0), where.max(axis=0) + 1
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    chosen = np.zeros(grid, bool)
-    chosen[box] = True
-    rows = np.repeat(chosen.ravel(), np.diff(octree.prefix))
-    return GridOctree(np.ascontiguousarray(octree.trees[box]), np.ascontiguousarray(octree.data[rows])), low
+    return cut_trees(octree, low, high), low
 
 
 def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
@@ -78,6 +154,8 @@ def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
     The tables of marching cubes (Lewiner et al. 2003) leave some: two tunnels that meet at the same face of
     a cell both use a diagonal of that face.
     """
+    if not len(faces):
+        return np.empty((0, 2), np.int64)
     n = int(faces.max()) + 1
     a = faces.astype(np.int64)
     b = np.roll(a, -1, axis=1)
@@ -86,16 +164,21 @@ def _crowded_edges(faces: npt.NDArray[np.integer]) -> I64:
     return np.stack([crowded // n, crowded % n], axis=1)
 
 
-def _fill(values: F32, middles: npt.NDArray[np.floating]) -> bool:
+def _to_fill(windows: Windows, middles: F64) -> list[Place]:
     """Make one more voxel solid at every face of a cell in which a point of `middles` (k, 3), z y x, lies.
 
-    Of its two free voxels, which alternate with two solid ones, it is the one nearer to the surface. Nothing
-    is ever made free, so that repeating this comes to an end. False if there was nothing left to fill.
+    Of its two free voxels, which alternate with two solid ones, it is the one nearer to the surface. What is
+    solid already stays: what a face before it has filled.
     """
-    n_free = 0
+    filled = []
     for middle in middles:
-        face = values[tuple(slice(int(np.floor(c)), int(np.ceil(c)) + 1) for c in middle)]
-        free = face > 0
-        n_free += int(free.sum())
-        face[face == face[free].min(initial=np.inf)] = -_CLEAR
-    return n_free > 0
+        spans = [range(int(np.floor(c)), int(np.ceil(c)) + 1) for c in middle]
+        voxels = np.array(list(itertools.product(*spans)), np.int64)
+        values = windows.at(voxels)
+        if not (values > 0).any():
+            continue
+        least = values[values > 0].min()
+        for z, y, x in voxels[values == least].tolist():
+            windows.make_solid((z, y, x))
+            filled.append((z, y, x))
+    return filled

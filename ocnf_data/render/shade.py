@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F64, U8, Bool
+from ocnf_data.arrays import F32, F64, I64, U8, Bool
 from ocnf_data.render.raster import rasterise
+from ocnf_data.views.cameras import Views
 
 CLAY = (0.80, 0.76, 0.70)
 _KEY_LIGHT = np.array([-0.45, -0.65, -0.61])  # camera axes (x right, y down, z forward), towards the light
@@ -60,16 +61,55 @@ def shade(
     R = _orbit(azimuth, elevation, up)
     T = np.array([0.0, 0.0, _DISTANCE * radius]) - R @ ((low + high) / 2)
     K = _fit(fit @ R.T + T, n)
-    depth = rasterise(points, triangles, K[None], R[None], T[None], (n, n))[0].astype(np.float64)
+    return _lit(points, triangles, Views(_blank((n, n)), K, R[None], T[None]), radius, colour, supersample)
 
+
+def shade_view(vertices: npt.ArrayLike, faces: npt.ArrayLike, camera: Views, supersample: int = 2,
+               colour: tuple[float, float, float] = CLAY) -> U8:
+    """Draw a surface, two-sided, on white, as a camera of one's own sees it.
+
+    Args:
+        vertices: (N, 3) metres.
+        faces: (M, 3) indices; M may be 0, which gives an empty picture.
+        camera: one view; its depth map gives nothing but the size (H, W) of the picture.
+        supersample: samples a pixel along each axis.
+        colour: albedo, RGB in 0..1.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    height, width = camera.size
+    if len(triangles) == 0:
+        return np.full((height, width, 3), 255, dtype=np.uint8)
+    K = camera.K[0].copy()
+    K[:2] *= supersample
+    K[:2, 2] += (supersample - 1) / 2  # pixel centres stay on integers
+    fine = Views(_blank((height * supersample, width * supersample)), K, camera.R, camera.T)
+    radius = max(float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))) / 2, 1e-12)
+    return _lit(points, triangles, fine, radius, colour, supersample)
+
+
+def _blank(size: tuple[int, int]) -> F32:
+    """A depth map (1, H, W) that says nothing, and takes no memory."""
+    return np.broadcast_to(np.float32(0), (1, *size))
+
+
+def _lit(points: F64, triangles: I64, camera: Views, radius: float, colour: tuple[float, float, float],
+         supersample: int) -> U8:
+    """The picture of one view, averaged over squares of `supersample` x `supersample` pixels."""
+    height, width = camera.size
+    K = camera.K[0]
+    depth = rasterise(points, triangles, camera.K, camera.R, camera.T, (height, width))[0].astype(np.float64)
     hit = np.isfinite(depth)
     normal = _normals(np.where(hit, depth, np.nan), K)
     key = np.clip(normal @ (_KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)), 0, 1)
     facing = np.clip(-normal[..., 2], 0, 1)
-    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, n)
+    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, width)
     image = np.where(hit[..., None], np.clip(light, 0, 1)[..., None] * np.asarray(colour), 1.0)
-    image = image.reshape(size, supersample, size, supersample, 3).mean(axis=(1, 3))
-    return (255 * np.clip(image, 0, 1) ** (1 / 1.2) + 0.5).astype(np.uint8)
+    image = image.reshape(height // supersample, supersample, width // supersample, supersample, 3)
+    return (255 * np.clip(image.mean(axis=(1, 3)), 0, 1) ** (1 / 1.2) + 0.5).astype(np.uint8)
 
 
 def best_azimuth(vertices: npt.ArrayLike, faces: npt.ArrayLike, up: str = "z",

@@ -25,11 +25,14 @@ class Reconstruction:
         octrees: of the region's cube by resolution, coarse to fine, 1 channel each: TSDF / tau in [-1, 1],
             negative inside and where nothing was seen (of a network that predicts occupancy p: 1 - 2 p).
             Axes are z, y, x; `octree_surface(octrees[r], region.size, centre=region.centre)` is the surface
-            of one, walls around the unseen included.
-        region: the box that surfaces were kept in, and the cube around it that was fused.
+            of one, walls around the unseen included. Of a region that was fused with voxels of a chosen size
+            there is one octree, (D, H, W), by the voxels of its longest axis.
+        region: the box that surfaces were kept in, and in `size` the length of the grid's longest axis.
         seconds: fusion and reconstruction, without reading the scan and without marching cubes.
         notes: what the reader left out or assumed, and what it warns of, a sentence each.
         colours: (N, 3) uint8 red, green, blue of the vertices; None where the scan has no colour.
+        loose: how many loose parts of the surface were left out.
+        method: `ours` (the network), `volfus` or `tvl1`.
     """
 
     vertices: F64
@@ -39,10 +42,17 @@ class Reconstruction:
     seconds: float
     notes: tuple[str, ...] = ()
     colours: U8 | None = None
+    loose: int = 0
+    method: str = "ours"
+
+    @property
+    def voxel(self) -> float:
+        """Edge length of a voxel in metres."""
+        return self.region.size / self.resolution
 
     @property
     def resolution(self) -> int:
-        """Voxels along each axis of the finest octree, which the surface is of."""
+        """Voxels along the longest axis of the finest octree, which the surface is of."""
         return max(self.octrees)
 
     @property
@@ -54,7 +64,7 @@ class Reconstruction:
         """Write the mesh, with its colours where the format has a place for them.
 
         Args:
-            path: ends in .ply, .obj, .off or .stl.
+            path: ends in .ply, .obj, .glb, .off or .stl.
 
         Raises:
             OcnfError: another ending, or the file cannot be written.

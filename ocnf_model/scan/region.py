@@ -18,6 +18,7 @@ _SEARCH_RESOLUTION = 128
 _SEARCH_POINTS = 200_000
 _OUTLIERS = 0.2  # per cent of the points at either end of an axis that do not stretch the search
 _SEARCH_MARGIN = 0.1
+_ROOM_MARGIN = 0.02  # of each axis, added at both ends
 _SAMPLES = 12  # along each side of a region, of whether it is looked at
 
 
@@ -27,7 +28,8 @@ class Region:
 
     Attributes:
         low, high: corners (x, y, z) of the box in metres: surfaces beyond are cut off.
-        size: edge length of the cube in metres; its centre is the box's.
+        size: edge length of the cube in metres, whose centre is the box's; where voxels of a chosen size fill
+            a grid that is no cube, the length of its longest axis.
     """
 
     low: tuple[float, float, float]
@@ -69,6 +71,19 @@ class Region:
         return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
 
 
+def everything(views: Views | DepthPyramid) -> Region:
+    """The box around all that the frames measured, but for stray points: a room, seen from inside.
+
+    Of each axis, 0.2 % of the points at either end do not count; then 2 % of the length are added.
+
+    Raises:
+        OcnfError: nothing was measured (`empty`).
+    """
+    low, high = _bounds(measured_points(views.views if isinstance(views, DepthPyramid) else views))
+    margin = _ROOM_MARGIN * np.maximum(high - low, 1e-6)
+    return Region.of_box([*(low - margin), *(high + margin)])
+
+
 def largest_object(views: Views | DepthPyramid) -> Region:
     """The box around the largest connected surface.
 
@@ -83,10 +98,7 @@ def largest_object(views: Views | DepthPyramid) -> Region:
     from scipy.ndimage import find_objects, label
 
     pyramid = views if isinstance(views, DepthPyramid) else DepthPyramid(views)
-    points = _measured_points(pyramid.views)
-    if not len(points):
-        raise OcnfError("nothing was measured in any frame", code="empty", where="the scan")
-    low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    low, high = _bounds(measured_points(pyramid.views))
     size = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
     x, y, z = ((low + high) / 2).tolist()
     octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(size, 1e-6), centre=(x, y, z))
@@ -151,16 +163,30 @@ def _mark_observed(points: F64, depth: F32, K: F64, R: F64, T: F64, band: float,
                 break
 
 
-def _measured_points(views: Views) -> F64:
+def measured_points(views: Views) -> F64:
     """World positions (N, 3) of some of the pixels that hit something, spread over all views."""
+    return np.concatenate([np.empty((0, 3)), *points_of_frames(views)])
+
+
+def points_of_frames(views: Views, count: int = _SEARCH_POINTS) -> list[F64]:
+    """World positions (n, 3) of pixels that hit something, for each frame; about `count` in all."""
     height, width = views.size
-    step = max(1, int(np.sqrt(views.depth.size / _SEARCH_POINTS)))
+    step = max(1, int(np.sqrt(views.depth.size / count)))
     v, u = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
-    points = [np.empty((0, 3))]
+    points = []
     for depth, K, R, T in zip(views.depth, views.K, views.R, views.T, strict=True):
         z = depth[v, u].astype(np.float64)
         hit = (z > 0) & np.isfinite(z)
         z = z[hit]
         camera = np.stack([(u[hit] - K[0, 2]) / K[0, 0] * z, (v[hit] - K[1, 2]) / K[1, 1] * z, z], axis=1)
         points.append((camera - T) @ R)
-    return np.concatenate(points)
+    return points
+
+
+def _bounds(points: F64) -> tuple[F64, F64]:
+    """Low and high corner of points, without those farthest out."""
+    if not len(points):
+        raise OcnfError("nothing was measured in any frame", code="empty", where="the scan",
+                        fix="check --depth-scale, --max-depth and --crop")
+    low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    return low, high

@@ -79,7 +79,7 @@ class Budget:
         """
         if self.of_scans:
             source: dict[str, Any] = {
-                "kind": "sequence", "scans": list(self.categories), "frames": "0:1000", "disjoint": False,
+                "kind": "sequence", "scans": list(self.categories), "disjoint": False,
                 "configurations": {"train": self.train, "val": self.val, "test": self.test}}
         else:
             source = {"kind": "modelnet", "categories": list(self.categories), "counts": {
@@ -155,14 +155,19 @@ def make_budget(
     return budget.with_epochs(epochs or budget.epochs)
 
 
-def listed(budget: Budget, root: Path) -> list[Entry]:
-    """The meshes that the budget takes, with their splits.
+def listed(budget: Budget, root: Path, views: int = 1) -> list[Entry]:
+    """The meshes, or sets of frames of scans, that the budget takes, with their splits.
+
+    Args:
+        budget: the budget.
+        root: the folder of the meshes or scans.
+        views: frames in a set.
 
     Raises:
-        OcnfError: a category has no mesh, or there is nothing for a split.
+        OcnfError: a category has no mesh, a scan too few frames, or there is nothing for a split.
     """
-    manifest = budget.manifest("listing", InputSpec(views=1, sigma=0.0, encodings=(Encoding.HISTOGRAM,)))
-    entries = [entry for entry in manifest.source.entries(root, manifest.seed) if entry.excluded is None]
+    manifest = budget.manifest("listing", InputSpec(views=views, sigma=0.0, encodings=(Encoding.HISTOGRAM,)))
+    entries = [entry for entry in manifest.entries(root) if entry.excluded is None]
     counts = Counter(entry.split for entry in entries)
     for split in ("train", "val", "test"):
         if not counts[split]:

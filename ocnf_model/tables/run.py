@@ -159,6 +159,8 @@ class TableGroup:
 
 def _group(tables: list[TableSpec], root: Path, out: Path, budget: Budget, hours: float | None, device: str,
            jobs: int, dry_run: bool, console: Console) -> TableGroup:
+    views = max(spec.views for table in tables for spec in table.inputs.values())
+    listed(budget, root, views)  # a scan with too few frames is refused before anything is made
     layout = _layout(out, budget, root)
     rates = read_rates(layout, device)
     if rates is None and (dry_run or hours is not None):

@@ -51,4 +51,4 @@ def tetra():
 @pytest.fixture(scope="session")
 def valid():
     """The bytes of a tetrahedron's file by suffix."""
-    return {".glb": make_glb(*tetra_gltf()), **{s: write(TETRA_V, TETRA_F) for s, write in WRITERS.items()}}
+    return {**{s: write(TETRA_V, TETRA_F) for s, write in WRITERS.items()}, ".glb": make_glb(*tetra_gltf())}

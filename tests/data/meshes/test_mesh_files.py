@@ -116,7 +116,7 @@ def test_glb_with_transforms(tmp_path, valid):
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data(), suffix=st.sampled_from([".ply", ".obj", ".off", ".stl"]))
+@given(data=st.data(), suffix=st.sampled_from([".ply", ".obj", ".glb", ".off", ".stl"]))
 def test_what_is_written_is_read(tmp_path, data, suffix):
     n = data.draw(st.integers(3, 30))
     exponent = data.draw(st.integers(-3, 8))
@@ -126,7 +126,7 @@ def test_what_is_written_is_read(tmp_path, data, suffix):
     m = data.draw(st.integers(1, 20))
     faces = data.draw(hnp.arrays(np.int64, (m, 3), elements=st.integers(0, n - 1)))
     faces[0] = [0, 1, 2]
-    if suffix == ".stl":
+    if suffix in (".stl", ".glb"):
         vertices = vertices.astype(np.float32).astype(np.float64)
     mesh = read(tmp_path, "x" + suffix.upper(), WRITERS[suffix](vertices, faces))
     np.testing.assert_allclose(mesh.vertices[mesh.faces], vertices[faces], rtol=1e-11)

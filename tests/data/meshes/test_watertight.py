@@ -106,8 +106,8 @@ def test_what_cannot_be_done_is_said(tmp_path):
     source.write_bytes(WRITERS[".ply"](part.vertices, part.faces))
     with pytest.raises(OcnfError, match="overwrite its own source"):
         watertight_path(source, tmp_path)
-    with pytest.raises(OcnfError, match=r"\.glb"):
-        watertight_path(source, tmp_path / "x.glb")
+    with pytest.raises(OcnfError, match=r"\.vtk"):
+        watertight_path(source, tmp_path / "x.vtk")
     (tmp_path / "none").mkdir()
     with pytest.raises(OcnfError, match="holds no mesh"):
         watertight_path(tmp_path / "none", tmp_path / "out")

@@ -12,7 +12,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model import OctNetFusion
 from ocnf_model.checkpoint import Architecture, Header, TrainingData, save_checkpoint
 from ocnf_model.evaluation.run import run_evaluate
-from ocnf_model.scan.fuse import run_fuse
+from ocnf_model.scan.run import Asked, run_fuse
 
 
 def make_run(folder: Path, truncation_voxels: float = 32 / 15) -> Path:
@@ -53,7 +53,7 @@ def test_a_run_of_another_truncation_is_refused(tiny: str, tmp_path: Path) -> No
 def test_fusing_with_a_run(scan: Path, tmp_path: Path) -> None:
     run, out = make_run(tmp_path / "run"), tmp_path / "mesh.ply"
     with pytest.raises(OcnfError, match="no level of this resolution"):
-        run_fuse(str(run), str(scan), out=out, resolution=64, device="cpu")
+        run_fuse(str(scan), Asked(out, str(run), resolution=64, device="cpu"))
     with pytest.raises(OcnfError, match="no surface was found"):
-        run_fuse(str(run), str(scan), out=out, device="cpu")
+        run_fuse(str(scan), Asked(out, str(run), device="cpu"))
     assert not out.exists()

@@ -18,8 +18,10 @@ from ocnf_data.fusion import DepthPyramid, fuse_histogram
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import read_scan
 from ocnf_model import OctNetFusion, OctreeBatch
-from ocnf_model.scan.fuse import Baseline, Learned, fuse_scan, run_fuse
+from ocnf_model.scan.fuse import fuse_scan
+from ocnf_model.scan.fusers import Baseline, Learned
 from ocnf_model.scan.region import Region, largest_object, looked_at, observed
+from ocnf_model.scan.run import Asked, run_fuse
 
 CENTRE, RADIUS = np.array([0.7, -1.2, 2.5]), 0.2  # as in conftest.py
 BOX = (*(CENTRE - 0.23), *(CENTRE + 0.23))
@@ -29,7 +31,7 @@ BOX = (*(CENTRE - 0.23), *(CENTRE + 0.23))
 @pytest.mark.parametrize("box", [BOX, None], ids=["box", "largest"])
 def test_a_sphere_comes_back_within_a_voxel(scan: Path, tmp_path: Path, method: str,
                                             box: tuple[float, ...] | None) -> None:
-    mesh = run_fuse("unused", str(scan), out=tmp_path / "mesh.ply", box=box, method=method, resolution=64)
+    mesh, = run_fuse(str(scan), Asked(tmp_path / "mesh.ply", methods=[method], box=box, resolution=64))
     voxel = mesh.region.size / 64
     written = trimesh.load(tmp_path / "mesh.ply")
     np.testing.assert_allclose(written.vertices, mesh.vertices)
@@ -107,12 +109,12 @@ def test_frames_that_all_look_away_are_said_to(scan: Path, tmp_path: Path) -> No
 def test_a_warning_is_printed_before_what_it_explains_fails(scan: Path, tmp_path: Path) -> None:
     console = Console(record=True, width=400, file=io.StringIO())
     with pytest.raises(OcnfError, match="no surface was found"):
-        run_fuse("unused", str(scan), out=tmp_path / "mesh.ply", box=BOX, method="volfus", resolution=32,
-                 console=console, reading={"pose_scale": 30.0})
+        run_fuse(str(scan), Asked(tmp_path / "mesh.ply", methods=["volfus"], box=BOX, resolution=32,
+                                  reading={"pose_scale": 30.0}), console)
     assert "Note: neighbouring frames hardly overlap" in console.export_text()
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
 def test_colour_reaches_the_vertices_of_the_file(scan: Path, tmp_path: Path, suffix: str) -> None:
     folder = tmp_path / "coloured"
     shutil.copytree(scan, folder)
@@ -120,32 +122,68 @@ def test_colour_reaches_the_vertices_of_the_file(scan: Path, tmp_path: Path, suf
         image = np.full((240, 320, 3), (10, 120, 200), np.uint8)  # blue, green, red
         cv2.imwrite(str(file).replace(".depth.", ".color."), image)
     out = tmp_path / f"mesh{suffix}"
-    mesh = run_fuse("unused", str(folder), out=out, box=BOX, method="volfus", resolution=32,
-                    reading={"frames": "4"})
+    mesh, = run_fuse(str(folder), Asked(out, methods=["volfus"], box=BOX, resolution=32,
+                                        reading={"frames": "4"}))
     assert mesh.colours is not None and len(mesh.colours) == len(mesh.vertices)
     written = trimesh.load(out, process=False)
-    assert len(written.vertices) == len(mesh.vertices)
-    np.testing.assert_array_equal(written.visual.vertex_colors[:, :3],
-                                  np.tile([200, 120, 10], (len(mesh.vertices), 1)))
+    if suffix == ".glb":  # of a file with a material, trimesh has them among the attributes
+        colours = next(iter(written.geometry.values())).visual.vertex_attributes["color"]
+        expected = _linear([200, 120, 10])
+    else:
+        colours, expected = written.visual.vertex_colors, [200, 120, 10]
+    assert len(colours) == len(mesh.vertices)
+    scale = 1 if colours.dtype == np.uint8 else 257
+    np.testing.assert_allclose(colours[:, :3] / scale, np.tile(expected, (len(colours), 1)), atol=0.5)
+
+
+def _linear(colour: list[int]) -> list[int]:
+    """Bytes of sRGB in linear light, by its definition."""
+    share = np.array(colour) / 255
+    return np.rint(255 * np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)).tolist()
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"box": (1, 0, 0, 0, 1, 1)}, "not a box"),
+    ({"box": (50, 50, 50, 51, 51, 51)}, "no frame looks at it"),
+    ({"box": (0.7, -1.2, 2.6, 0.72, -1.18, 2.62)}, "no surface was found in the region"),  # inside the sphere
+    ({"box": BOX, "room": True}, "cannot both be fused"),
+    ({"resolution": 60}, "multiple of 8"),
+    ({"methods": ["volfus,magic"]}, "no such method"),
+    ({"methods": []}, "no method"),
+    ({"methods": ["network"], "run": "none-such"}, "no such run"),
+    ({"out": Path("mesh.jpg")}, "cannot be written in this format; found .jpg, expected .ply, .obj, .glb"),
+    ({"out": Path("mesh")}, "found no suffix"),
+    ({"out": None}, "nothing to make"),
+    ({"out": Path("/proc/mesh.ply")}, "/proc/mesh.ply"),
+    ({"tsdf": Path("tsdf.vdb")}, r"expected .npz, .oc"),
+    ({"picture": Path("picture.jpg")}, "expected .png"),
+    ({"voxel": 0.0}, "not the size of a voxel"),
+    ({"voxel": float("nan")}, "not the size of a voxel"),
+    ({"voxel": 1.0, "box": BOX}, "too large for the region"),
+    ({"voxel": 1e-6, "box": BOX}, r"would not fit into memory.*Take --voxel"),
+    ({"max_depth": 0.5}, "nothing was measured as near as this"),
+    ({"max_depth": -1.0}, "not a depth"),
+    ({"faces": 1}, "not a number of faces"),
+    ({"reading": {"frames": "25"}}, "the scan has fewer frames"),
+    ({"reading": {"frames": "20:30"}}, "the scan has fewer frames"),
+    ({"reading": {"frames": "30:40"}}, "the scan has fewer frames"),
+])
+def test_what_cannot_be_fused_is_said_and_nothing_written(scan: Path, tmp_path: Path, change: dict,
+                                                          message: str, monkeypatch: pytest.MonkeyPatch,
+                                                          ) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = {"out": Path("mesh.ply"), "methods": ["volfus"], "resolution": 32, **change}
+    with pytest.raises(OcnfError, match=message):
+        run_fuse(str(scan), Asked(**asked), Console(file=io.StringIO()))
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_input(scan: Path, tmp_path: Path) -> None:
-    out = tmp_path / "mesh.ply"
-    cases = [
-        ({"box": (1, 0, 0, 0, 1, 1)}, "not a box"),
-        ({"box": (50, 50, 50, 51, 51, 51)}, "no surface was found in the region"),
-        ({"resolution": 60}, "multiple of 8"),
-        ({"method": "magic"}, "no such method"),
-        ({"method": "ours", "run": str(tmp_path / "none")}, "no such run"),
-        ({"out": tmp_path / "mesh.jpg"}, "cannot be written in this format"),
-        ({"scan": str(tmp_path / "none")}, "no such scan"),
-    ]
-    for change, message in cases:
-        asked = {"run": "unused", "scan": str(scan), "out": out, "method": "volfus", "resolution": 32,
-                 **change}
-        with pytest.raises(OcnfError, match=message):
-            run_fuse(**asked)
-    assert not out.exists()
+    with pytest.raises(OcnfError, match="no such scan"):
+        run_fuse(str(tmp_path / "none"), Asked(tmp_path / "mesh.ply", methods=["volfus"]))
+    with pytest.raises(OcnfError, match="is a folder"):
+        (tmp_path / "folder.ply").mkdir()
+        run_fuse(str(scan), Asked(tmp_path / "folder.ply", methods=["volfus"]))
     blank = read_scan(scan)
     with pytest.raises(OcnfError, match="nothing was measured"):
         largest_object(blank.views.with_depth(np.zeros_like(blank.views.depth)))

@@ -27,7 +27,7 @@ Make = Callable[..., TablePlan]
     ("views", {"epochs": [0]}, "--epochs: the budget is too small for one epoch"),
     ("views", {"epochs": [1], "hours": 1.0}, "--hours: epochs and hours are two budgets"),
     ("views", {"resolutions": [32, 64]}, "the levels do not fit the resolutions; found 1, expected 2, for"),
-    ("kinect", {}, "the table cannot be made: "),
+    ("kinect", {}, "the table cannot be made: it needs scans: give their folder with --scans DIR"),
     ("completion", {}, "the table cannot be made: "),
     ("tabel", {}, "no such table; found tabel"),
 ])
@@ -36,6 +36,15 @@ def test_what_cannot_be_made_is_refused_before_anything_is_written(
     with pytest.raises(OcnfError, match=said):
         make(name, tmp_path / "out", **changes)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scan_with_too_few_frames_is_refused_before_anything_is_made(
+        make: Make, scan: Path, tmp_path: Path) -> None:
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "scans/two_solids").symlink_to(scan)
+    with pytest.raises(OcnfError, match=r"configurations\.train: too few frames; .* expected at least 20"):
+        make("kinect", tmp_path / "out", scans=tmp_path / "scans", meshes=1)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["ocnf-tables.json"]
 
 
 def test_a_folder_of_something_else_is_left_alone(make: Make, tmp_path: Path) -> None:

@@ -1,0 +1,78 @@
+"""The files of a fused scan. Whether they can be written is found out before anything is fused."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.files.storage import Store
+from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
+from ocnf_data.fusion import default_truncation
+from ocnf_data.meshes.writing import WRITERS
+from ocnf_model.scan.reconstruction import Reconstruction
+
+TSDF_SUFFIXES = (".npz", ".oc")
+_MAX_DENSE = 2**31
+"""Voxels of a dense volume, 8 GB."""
+
+
+def check_target(path: Path, suffixes: tuple[str, ...]) -> None:
+    """Raise OcnfError unless a file of this name can be written: its suffix, and its folder."""
+    if path.suffix.lower() not in suffixes:
+        raise OcnfError("cannot be written in this format", where=path, found=path.suffix or "no suffix",
+                        expected=", ".join(suffixes))
+    if path.is_dir():
+        raise OcnfError("is a folder, not a file", code="io", where=path)
+    folder = path.absolute().parent
+    while not folder.exists():
+        folder = folder.parent
+    with storage_errors(path), tempfile.TemporaryFile(dir=folder, prefix=TEMPORARY_PREFIX):
+        pass
+
+
+def check_picture(path: Path) -> None:
+    """`check_target` for a PNG, and whether there is what draws it."""
+    check_target(path, (".png",))
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise missing_extra("pictures need matplotlib", "fuse") from error
+
+
+def mesh_suffixes() -> tuple[str, ...]:
+    """The suffixes that meshes can be written with."""
+    return tuple(WRITERS)
+
+
+def save_tsdf(result: Reconstruction, path: Path) -> None:
+    """Write the TSDF that a surface was cut out of.
+
+    `.npz` is dense, float32: `tsdf` (D, H, W), TSDF / tau, axes z, y, x; `first` (x, y, z) of the centre of
+    voxel 0, 0, 0, `voxel` and `truncation`, all in metres. `.oc` is the published format of octrees
+    (`GridOctree.read_oc`), and beside it `.json` has the same three, and the shape.
+
+    Raises:
+        OcnfError: another suffix, a dense volume of more than 8 GB (`too_large`), or the file cannot be
+            written.
+    """
+    check_target(path, TSDF_SUFFIXES)
+    octree, store = result.octree, Store(path.parent)
+    voxel = result.region.size / max(octree.shape)
+    first = np.array(result.region.centre) - voxel * (np.array(octree.shape[::-1]) - 1) / 2
+    truncation = default_truncation(octree.shape, result.region.size)
+    if path.suffix.lower() == ".oc":
+        with store.writing(path.name) as file:
+            octree.write_oc(file)
+        placing = {"shape": octree.shape, "first": first.tolist(), "voxel": voxel, "truncation": truncation}
+        store.put_bytes(path.with_suffix(".json").name, json.dumps(placing, indent=1).encode())
+        return
+    if np.prod(octree.shape, dtype=float) > _MAX_DENSE:
+        raise OcnfError("too large as a dense volume", code="too_large", where=path,
+                        found=f"{octree.shape} voxels", fix="write an octree, to a name that ends in .oc")
+    with store.writing(path.name) as file, file.open("wb") as stream:
+        np.savez_compressed(stream, tsdf=octree.to_dense()[0], first=first, voxel=voxel,
+                            truncation=truncation)
