@@ -119,7 +119,7 @@ class TableFigures:
         return Cell(ours, paper, models)
 
     def _models(self, row: Line, column: Line) -> dict[str, float]:
-        """The figure of each model; empty where the budget has no such level."""
+        """The figure of each model; empty where the budget has no such level or the step is not done yet."""
         table, layout = self._table, self._layout
         variant, method = input_of(table, row, column), row.method or column.method
         level = row.level or column.level or len(layout.budget.resolutions)
@@ -130,16 +130,20 @@ class TableFigures:
         data = layout.data(variant, table.inputs[variant])
         run = None if network is None else layout.run(network, table.inputs[variant])
         folder = f"baselines/{data}" if run is None else f"networks/{run}"
+        parts = [layout.out / folder / "models.csv"]
+        is_time = table.quantity is Quantity.SECONDS
+        parts += [layout.out / "times" / f"{data}.csv"] if is_time else []
+        if not all(part.is_file() for part in parts):
+            return {}
         category = row.category or column.category
         chosen = None if category is None else layout.budget.folder(category)
-        is_time = table.quantity is Quantity.SECONDS
         found = {line["key"]: line["seconds" if is_time else "mad_mm"]
-                 for line in _lines(layout.out / folder / "models.csv")
+                 for line in _lines(parts[0])
                  if line["method"].rstrip("*") == method.label and int(line["resolution"]) == resolution
                  and chosen in (None, line["category"])}
         if not is_time:
             return {key: float(value) for key, value in found.items() if value}
-        encoding = encoding_seconds(layout.out / "times" / f"{data}.csv", method, resolution)
+        encoding = encoding_seconds(parts[1], method, resolution)
         return {key: float(value or 0) + encoding[key] for key, value in found.items() if key in encoding}
 
 

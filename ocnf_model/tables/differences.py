@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
@@ -64,3 +66,15 @@ def _settings(settings: TrainSettings) -> Iterator[str]:
             changed.append(f"level {level + 1} with {', '.join(other)}")
     if changed:
         yield f"Training settings that are not the paper's: {'; '.join(changed)}."
+
+
+def machine(device: str) -> str:
+    """The machine in words: its processor, how many threads are used, and the device that was asked for."""
+    import torch
+
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device.startswith("cuda"):
+        return torch.cuda.get_device_name(device)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"CPU ({platform.machine()}), {cores} cores, {torch.get_num_threads()} threads"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import platform
 import shutil
 import time
 from collections.abc import Mapping, Sequence
@@ -21,8 +19,9 @@ from ocnf_data.files.storage import Store
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_model.tables.budget import PAPER_EPOCHS, Budget, listed, make_budget
 from ocnf_model.tables.cells import TableFigures
-from ocnf_model.tables.differences import differences
+from ocnf_model.tables.differences import differences, machine
 from ocnf_model.tables.execute import Executor
+from ocnf_model.tables.plan import TablePlan, megabytes
 from ocnf_model.tables.rates import Estimate, Estimator, calibrate, epochs_within, read_rates
 from ocnf_model.tables.schema import TABLE_NAMES, Pipeline, TableSpec, load_table
 from ocnf_model.tables.steps import Layout, Step, StepKind, plan_steps
@@ -34,36 +33,6 @@ MARK = "ocnf-tables.json"
 LOG = "steps.jsonl"
 """What was done: a line a step, with the time and size that were planned and those that it took."""
 _FULL = 1.5  # an estimate may be off by this factor
-
-
-@dataclass(frozen=True)
-class TablePlan:
-    """What is to be done.
-
-    Attributes:
-        steps: all steps, in order.
-        left: those that are not done.
-        estimates: what those that are left take, by name; empty where nothing was measured.
-        notes: a sentence for each table that cannot be made.
-    """
-
-    steps: list[Step]
-    left: list[Step]
-    estimates: dict[str, Estimate]
-    notes: list[str]
-
-    def lines(self) -> list[str]:
-        """A line a step that is left, and the sum."""
-        found = []
-        for step in self.left:
-            estimate = self.estimates.get(step.name)
-            found.append(step.name if estimate is None else
-                         f"{step.name}: {duration(estimate.seconds)}, {megabytes(estimate.size)}")
-        done = len(self.steps) - len(self.left)
-        seconds = sum(one.seconds for one in self.estimates.values())
-        size = sum(one.size for one in self.estimates.values())
-        total = f": {duration(seconds)}, {megabytes(size)}" if self.estimates else ""
-        return [*found, f"{len(self.left)} steps to do, {done} done before{total}"]
 
 
 def make_tables(
@@ -225,7 +194,9 @@ def _do(step: Step, group: TableGroup, device: str, console: Console) -> None:
     begin = time.perf_counter()
     if step.kind is StepKind.WRITE:
         assert step.table is not None
-        _write(step.table, layout, group.root, device, console)
+        _write(step.table, group, device, [])
+        console.print(f"{layout.out / 'tables' / step.table.name}.md, .csv, .tex", highlight=False,
+                      soft_wrap=True)
     else:
         group.executor.do(step)
     made = layout.out / step.target
@@ -237,42 +208,32 @@ def _do(step: Step, group: TableGroup, device: str, console: Console) -> None:
     store = Store(layout.out)
     before = store.read_bytes(LOG) if store.exists(LOG) else b""
     store.put_bytes(LOG, before + json.dumps(line).encode() + b"\n")
+    if step.kind in (StepKind.BASELINES, StepKind.EVALUATE, StepKind.TIME):
+        _write_so_far(group, device)
 
 
-def _write(table: TableSpec, layout: Layout, root: Path, device: str, console: Console) -> None:
+def _write_so_far(group: TableGroup, device: str) -> None:
+    """Write the tables that are not finished with the figures that there are."""
+    for step in group.left:
+        if step.table is not None:
+            ours = {one.name for one in plan_steps([step.table], group.layout)} - {step.name}
+            open_ = [one for one in group.left if one.name in ours and not group.layout.is_done(one)]
+            if open_:
+                _write(step.table, group, device, open_)
+
+
+def _write(table: TableSpec, group: TableGroup, device: str, left: Sequence[Step]) -> None:
+    layout = group.layout
     figures = TableFigures(table, layout)
-    above = differences(table, layout.budget, listed(layout.budget, root), machine(device))
+    above = differences(table, layout.budget, listed(layout.budget, group.root), machine(device))
+    if left:
+        above = [f"Not finished: what is left begins with `{left[0].name}`.", *above]
     files = {"csv": to_table_csv(table, figures.cells), "tex": to_latex(table, figures.cells, above),
              "md": to_markdown(table, figures.cells, list(figures.readings()), above)}
     for ending, text in files.items():
         Store(layout.out / "tables").put_bytes(f"{table.name}.{ending}", text.encode())
-    console.print(f"{layout.out / 'tables' / table.name}.md, .csv, .tex", highlight=False, soft_wrap=True)
-
-
-def machine(device: str) -> str:
-    """The machine in words: its processor, how many threads are used, and the device that was asked for."""
-    import torch
-
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device.startswith("cuda"):
-        return torch.cuda.get_device_name(device)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"CPU ({platform.machine()}), {cores} cores, {torch.get_num_threads()} threads"
 
 
 def folder_size(folder: Path) -> int:
     """Bytes of all files in a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
-def duration(seconds: float) -> str:
-    """Seconds in words."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def megabytes(size: float) -> str:
-    """Bytes in words."""
-    return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.1f} GB"

@@ -37,6 +37,7 @@ from ocnf_model.tables.schema import (
     all_encodings,
 )
 from ocnf_model.training.curves import CURVES
+from ocnf_model.training.settings import TrainSettings
 
 _KEY = 10  # hexadecimal digits
 
@@ -111,8 +112,10 @@ class Layout:
 
     def run(self, network: NetworkSpec, spec: InputSpec) -> str:
         """Name of the folder of a network's run."""
-        settings = self.budget.network_settings(network)
-        return f"{network.name}-{_key([settings.decisive(), self.data(network.input, spec)])}"
+        settings, usual = self.budget.network_settings(network).decisive(), TrainSettings().decisive()
+        # Those that are as usual do not count: a version with more settings finds the runs of this one.
+        own = {name: value for name, value in settings.items() if usual.get(name) != value}
+        return f"{network.name}-{_key([own, self.data(network.input, spec)])}"
 
     def is_done(self, step: Step) -> bool:
         """Whether what a step makes is there, whole."""

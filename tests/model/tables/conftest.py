@@ -11,7 +11,8 @@ import trimesh
 from rich.console import Console
 
 from ocnf_data.shapes import make_shape
-from ocnf_model.tables.run import TablePlan, make_tables
+from ocnf_model.tables.plan import TablePlan
+from ocnf_model.tables.run import make_tables
 from ocnf_model.training.settings import TrainSettings, read_settings
 
 CATEGORIES = ("airplane", "chair", "table")

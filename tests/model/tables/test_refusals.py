@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
+from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.rates import epochs_within
-from ocnf_model.tables.run import TablePlan
 
 Make = Callable[..., TablePlan]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ocnf_model.tables.budget import Budget, listed, make_budget
-from ocnf_model.tables.run import TablePlan
+from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.schema import TABLE_NAMES, TableSpec, load_table
 from ocnf_model.tables.steps import Layout, plan_steps
 from ocnf_model.training.settings import TrainSettings

@@ -19,8 +19,10 @@ from statistics import mean
 import pytest
 import yaml
 
-from ocnf_model.tables.run import TablePlan
+from ocnf_model.tables.execute import Executor
+from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.schema import load_table
+from ocnf_model.tables.steps import Step
 from ocnf_model.training.settings import TrainSettings
 
 CELL = re.compile(r"\s*(?:\$(?:\\textbf\{)?([\d.]+)\}?\$|--) \(([\d.]+)\)\s*")
@@ -171,3 +173,29 @@ def test_a_killed_command_goes_on_and_gives_the_same_table(
     assert done + rest == log(out)
     assert (out / "tables/encodings.csv").read_bytes() == (whole / "tables/encodings.csv").read_bytes()
     assert not math.isnan(float(table_csv(out, "encodings")[0]["TSDF Hist"]))
+
+
+def test_a_table_is_there_as_far_as_it_is_known(made: Made, make: Make, tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    out = shutil.copytree(made[0], tmp_path / "out")
+    for folder in [*(out / "networks").glob("*without*"), *(out / "baselines").iterdir()]:
+        shutil.rmtree(folder)
+    whole = Executor.do
+
+    def stopped(self: Executor, step: Step) -> None:
+        if step.kind == "evaluate":
+            raise KeyboardInterrupt
+        whole(self, step)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Executor, "do", stopped)
+        make("unseen", out)
+    text = (out / "tables/unseen.md").read_text()
+    assert "Not finished: what is left begins with `evaluate histogram-v4_n02-without-airplane-desk`." in text
+    row = table_csv(out, "unseen")[0]
+    assert row["Unseen"] == "" and float(row["Seen"]) > 0 and float(row["VolFus"]) > 0
+    make("unseen", out)
+    assert "Not finished" not in (out / "tables/unseen.md").read_text()
+    for ending in ("csv", "md", "tex"):
+        name = f"tables/unseen.{ending}"
+        assert (out / name).read_text() == (made[0] / name).read_text()
