@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 
-from ocnf_data.encodings import Encoding
-from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage_errors import storage_errors
 from ocnf_model.evaluation.intervals import Ratio, bootstrap_mean, bootstrap_ratio
-from ocnf_model.evaluation.methods import Method
 from ocnf_model.tables.schema import Claim, Line, PaperRow, Quantity, TableSpec
-from ocnf_model.tables.steps import Layout, input_of, network_of
 
 
 @dataclass(frozen=True)
@@ -67,11 +60,11 @@ class TableFigures:
 
     Args:
         table: the table.
-        layout: where the evaluations lie.
+        models: gives the figure of each model for a row and a column; empty where there is none.
     """
 
-    def __init__(self, table: TableSpec, layout: Layout) -> None:
-        self._table, self._layout = table, layout
+    def __init__(self, table: TableSpec, models: Callable[[Line, Line], Mapping[str, float]]) -> None:
+        self._table, self._models = table, models
         self.cells = [[self._cell(row, column, paper) for column, paper in zip(
             table.columns, row.paper, strict=True)] for row in table.rows]
 
@@ -117,55 +110,3 @@ class TableFigures:
         else:
             ours = bootstrap_mean(list(models.values()))
         return Cell(ours, paper, models)
-
-    def _models(self, row: Line, column: Line) -> dict[str, float]:
-        """The figure of each model; empty where the budget has no such level or the step is not done yet."""
-        table, layout = self._table, self._layout
-        variant, method = input_of(table, row, column), row.method or column.method
-        level = row.level or column.level or len(layout.budget.resolutions)
-        if variant is None or method is None or level > len(layout.budget.resolutions):
-            return {}
-        resolution = layout.budget.resolutions[level - 1]
-        network = network_of(table, row, column)
-        data = layout.data(variant, table.inputs[variant])
-        run = None if network is None else layout.run(network, table.inputs[variant])
-        folder = f"baselines/{data}" if run is None else f"networks/{run}"
-        parts = [layout.out / folder / "models.csv"]
-        is_time = table.quantity is Quantity.SECONDS
-        parts += [layout.out / "times" / f"{data}.csv"] if is_time else []
-        if not all(part.is_file() for part in parts):
-            return {}
-        category = row.category or column.category
-        chosen = None if category is None else layout.budget.folder(category)
-        found = {line["key"]: line["seconds" if is_time else "mad_mm"]
-                 for line in _lines(parts[0])
-                 if line["method"].rstrip("*") == method.label and int(line["resolution"]) == resolution
-                 and chosen in (None, line["category"])}
-        if not is_time:
-            return {key: float(value) for key, value in found.items() if value}
-        encoding = encoding_seconds(parts[1], method, resolution)
-        return {key: float(value or 0) + encoding[key] for key, value in found.items() if key in encoding}
-
-
-def encoding_seconds(path: Path, method: Method, resolution: int) -> dict[str, float]:
-    """Seconds that a method's inputs take, by model.
-
-    VolFus is its input; the network takes the inputs of all levels up to that of the resolution.
-    """
-    wanted = Encoding.TSDF if method is Method.VOLFUS else Encoding.HISTOGRAM
-    found: dict[str, float] = {}
-    for line in _lines(path):
-        at = int(line["resolution"])
-        counts = at <= resolution if method is Method.OURS else at == resolution
-        if line["encoding"] == wanted and counts:
-            found[line["key"]] = found.get(line["key"], 0.0) + float(line["seconds"])
-    return found
-
-
-def _lines(path: Path) -> list[dict[str, str]]:
-    with storage_errors(path), path.open(newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    if not lines:
-        raise OcnfError("a table without a line", code="damaged", where=path,
-                        fix="delete it, and run the same command again")
-    return lines

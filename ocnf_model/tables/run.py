@@ -6,7 +6,6 @@ import json
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -16,15 +15,11 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
-from ocnf_data.files.storage_errors import storage_errors
-from ocnf_model.tables.budget import PAPER_EPOCHS, Budget, listed, make_budget
-from ocnf_model.tables.cells import TableFigures
-from ocnf_model.tables.differences import differences, machine
-from ocnf_model.tables.execute import Executor
+from ocnf_model.tables.budget import make_budget
+from ocnf_model.tables.groups import SampleGroup, TableGroup, folder_size
 from ocnf_model.tables.plan import TablePlan, megabytes
-from ocnf_model.tables.rates import Estimate, Estimator, calibrate, epochs_within, read_rates
 from ocnf_model.tables.schema import TABLE_NAMES, Pipeline, TableSpec, load_table
-from ocnf_model.tables.steps import Layout, Step, StepKind, plan_steps
+from ocnf_model.tables.steps import Step, StepKind
 from ocnf_model.tables.write import to_latex, to_markdown, to_table_csv
 from ocnf_model.training.settings import TrainSettings
 
@@ -33,6 +28,7 @@ MARK = "ocnf-tables.json"
 LOG = "steps.jsonl"
 """What was done: a line a step, with the time and size that were planned and those that it took."""
 _FULL = 1.5  # an estimate may be off by this factor
+_FILES = (StepKind.WRITE, StepKind.CHOOSE_WEIGHT, StepKind.TIME, StepKind.DRAW)  # others make folders
 
 
 def make_tables(
@@ -90,8 +86,9 @@ def make_tables(
     with exclusive(store):
         if not store.exists(MARK):
             store.put_bytes(MARK, canonical_json({"schema": 1, "kind": "tables"}))
-        groups = [_group(by_root[place], place, out, budget, hours, device, jobs, dry_run, console)
-                  for place, budget in budgets.items()]
+        groups: list[TableGroup] = [
+            SampleGroup(by_root[place], place, out, budget, device, jobs, console, hours=hours,
+                        measure=dry_run) for place, budget in budgets.items()]
         plan = TablePlan([step for group in groups for step in group.steps],
                          [step for group in groups for step in group.left],
                          {name: one for group in groups for name, one in group.estimates.items()}, notes)
@@ -101,50 +98,10 @@ def make_tables(
             _check_space(plan, out)
             for group in groups:
                 for step in group.left:
-                    _do(step, group, device, console)
+                    _do(step, group, out, console)
         for note in notes:
             console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     return plan
-
-
-@dataclass(frozen=True)
-class TableGroup:
-    """Tables of one root: of the meshes, or of the scans.
-
-    Attributes:
-        root: the folder of the meshes or scans.
-        layout: where everything goes.
-        executor: does the steps.
-        steps, left, estimates: as in `TablePlan`.
-    """
-
-    root: Path
-    layout: Layout
-    executor: Executor
-    steps: list[Step]
-    left: list[Step]
-    estimates: dict[str, Estimate]
-
-
-def _group(tables: list[TableSpec], root: Path, out: Path, budget: Budget, hours: float | None, device: str,
-           jobs: int, dry_run: bool, console: Console) -> TableGroup:
-    views = max(spec.views for table in tables for spec in table.inputs.values())
-    listed(budget, root, views)  # a scan with too few frames is refused before anything is made
-    layout = _layout(out, budget, root)
-    rates = read_rates(layout, device)
-    if rates is None and (dry_run or hours is not None):
-        rates = calibrate(layout, root, device, console, tables)
-    if hours is not None:
-        assert rates is not None
-        seconds = Estimator(rates, layout, root, jobs).epoch_seconds()
-        paper = [PAPER_EPOCHS[min(level, 2)] for level in range(len(seconds))]
-        budget = budget.with_epochs(epochs_within(hours, seconds, rates.train_fixed, paper))
-        layout = _layout(out, budget, root)
-    steps = plan_steps(tables, layout)
-    left = [step for step in steps if not layout.is_done(step)]
-    estimator = None if rates is None else Estimator(rates, layout, root, jobs)
-    estimates = {} if estimator is None else {step.name: estimator.of(step) for step in left}
-    return TableGroup(root, layout, Executor(layout, root, device, jobs, console), steps, left, estimates)
 
 
 def _wanted(name: str, has_scans: bool) -> tuple[list[TableSpec], list[str]]:
@@ -170,16 +127,6 @@ def _refuse_others(store: Store) -> None:
                         found=strangers[0], fix="name a new folder: nothing is overwritten")
 
 
-def _layout(out: Path, budget: Budget, root: Path) -> Layout:
-    entries = listed(budget, root)
-    sizes = {}
-    for entry in entries:
-        path = root / str(entry.path)
-        with storage_errors(path):
-            sizes[str(entry.path)] = folder_size(path) if path.is_dir() else path.stat().st_size
-    return Layout(out, budget, entries, sizes)
-
-
 def _check_space(plan: TablePlan, out: Path) -> None:
     needed, free = sum(one.size for one in plan.estimates.values()), shutil.disk_usage(out).free
     if needed > _FULL * free:
@@ -188,52 +135,42 @@ def _check_space(plan: TablePlan, out: Path) -> None:
                         fix="free some space, or plan for less: nothing was begun")
 
 
-def _do(step: Step, group: TableGroup, device: str, console: Console) -> None:
-    layout, estimate = group.layout, group.estimates.get(step.name)
+def _do(step: Step, group: TableGroup, out: Path, console: Console) -> None:
+    estimate = group.estimates.get(step.name)
     console.print(f"[bold]{escape(step.name)}[/]", highlight=False)
     begin = time.perf_counter()
-    if step.kind is StepKind.WRITE:
-        assert step.table is not None
-        _write(step.table, group, device, [])
-        console.print(f"{layout.out / 'tables' / step.table.name}.md, .csv, .tex", highlight=False,
-                      soft_wrap=True)
+    if step.table is not None:
+        _write(step.table, group, out, [])
+        console.print(f"{out / 'tables' / step.table.name}.md, .csv, .tex", highlight=False, soft_wrap=True)
     else:
-        group.executor.do(step)
-    made = layout.out / step.target
-    size = made.stat().st_size if step.kind in (StepKind.WRITE, StepKind.CHOOSE_WEIGHT, StepKind.TIME,
-                                                StepKind.DRAW) else folder_size(made.parent)
+        group.do(step)
+    made = out / step.target
+    size = made.stat().st_size if step.kind in _FILES else folder_size(made.parent)
     line = {"step": step.name, "seconds": round(time.perf_counter() - begin, 1), "bytes": size}
     if estimate is not None:
         line |= {"planned_seconds": round(estimate.seconds, 1), "planned_bytes": round(estimate.size)}
-    store = Store(layout.out)
+    store = Store(out)
     before = store.read_bytes(LOG) if store.exists(LOG) else b""
     store.put_bytes(LOG, before + json.dumps(line).encode() + b"\n")
     if step.kind in (StepKind.BASELINES, StepKind.EVALUATE, StepKind.TIME):
-        _write_so_far(group, device)
+        _write_so_far(group, out)
 
 
-def _write_so_far(group: TableGroup, device: str) -> None:
+def _write_so_far(group: TableGroup, out: Path) -> None:
     """Write the tables that are not finished with the figures that there are."""
     for step in group.left:
         if step.table is not None:
-            ours = {one.name for one in plan_steps([step.table], group.layout)} - {step.name}
-            open_ = [one for one in group.left if one.name in ours and not group.layout.is_done(one)]
-            if open_:
-                _write(step.table, group, device, open_)
+            names = {one.name for one in group.steps_of(step.table)} - {step.name}
+            left = [one for one in group.left if one.name in names and not group.is_done(one)]
+            if left:
+                _write(step.table, group, out, left)
 
 
-def _write(table: TableSpec, group: TableGroup, device: str, left: Sequence[Step]) -> None:
-    layout = group.layout
-    figures = TableFigures(table, layout)
-    above = differences(table, layout.budget, listed(layout.budget, group.root), machine(device))
+def _write(table: TableSpec, group: TableGroup, out: Path, left: Sequence[Step]) -> None:
+    figures, above = group.content(table)
     if left:
         above = [f"Not finished: what is left begins with `{left[0].name}`.", *above]
     files = {"csv": to_table_csv(table, figures.cells), "tex": to_latex(table, figures.cells, above),
              "md": to_markdown(table, figures.cells, list(figures.readings()), above)}
     for ending, text in files.items():
-        Store(layout.out / "tables").put_bytes(f"{table.name}.{ending}", text.encode())
-
-
-def folder_size(folder: Path) -> int:
-    """Bytes of all files in a folder."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+        Store(out / "tables").put_bytes(f"{table.name}.{ending}", text.encode())
