@@ -84,7 +84,7 @@ ARROWS = {
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
         "ocnf_data.errors ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan "
-        "ocnf_model.training",
+        "ocnf_model.tables ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
@@ -105,6 +105,10 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
         "ocnf_data.octree ocnf_data.render ocnf_data.views ocnf_model.baselines ocnf_model.checkpoint "
         "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
+    "ocnf_model.tables":
+        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.verify ocnf_data.views "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.training",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
@@ -121,7 +125,7 @@ FLOORS = (
     (),
     ("ocnf_data.generation", "ocnf_data.report", "ocnf_data.synthesis", "ocnf_model.training",
      "ocnf_model.evaluation", "ocnf_model.scan"),
-    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info"),
+    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info", "ocnf_model.tables"),
     ("ocnf_data.cli", "ocnf_model.cli"),
     ("ocnf_data.__main__", "ocnf_data", "ocnf_model"),
 )
@@ -148,6 +152,7 @@ BORROWED = """
     ocnf_data.loading.epochs
     ocnf_data.loading.mixture
     ocnf_data.manifest
+    ocnf_data.manifest.schema
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits
@@ -164,9 +169,11 @@ BORROWED = """
     ocnf_data.shards.catalogue
     ocnf_data.shards.dataset
     ocnf_data.shards.reader
+    ocnf_data.shards.tarformat
     ocnf_data.synthesis.dataset
     ocnf_data.synthesis.sources
     ocnf_data.terminal
+    ocnf_data.verify.summary
     ocnf_data.views.cameras
     ocnf_data.views.scans
     ocnf_data.views.scans.vertex_colour
