@@ -17,12 +17,14 @@ from typer.core import TyperCommand
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.terminal import run_app, show_version, stoppable
+from ocnf_model.completion.commands import complete_app
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.tables.command import tables_command
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
                   help="OctNetFusion: train, evaluate and inspect networks, and fuse depth with them.")
+app.add_typer(complete_app, name="complete")
 _out = Console(emoji=False)
 _err = Console(stderr=True, emoji=False)
 _debug = False

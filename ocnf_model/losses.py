@@ -83,16 +83,25 @@ def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
 
 
 def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
-    """Mean binary cross entropy over the voxels, of logits against occupancies in [0, 1]."""
+    """Mean binary cross entropy over the known voxels, of logits against occupancies in [0, 1].
+
+    A voxel whose occupancy is negative is not known and does not count; a grid without any has the loss 0.
+    """
     pair = Pair.of(logits, occupancy)
-    costs = binary_cross_entropy_with_logits(pair.prediction, pair.target, reduction="none")
-    return _reduce(pair, costs, reduction)
+    known = pair.target >= 0
+    costs = binary_cross_entropy_with_logits(pair.prediction, pair.target.clamp(min=0), reduction="none")
+    return _reduce(pair, costs * known, reduction, pair.sum_over_voxels(known.double()))
 
 
-def _reduce(pair: Pair, costs: Tensor, reduction: str) -> Tensor:
+def _reduce(pair: Pair, costs: Tensor, reduction: str, known: Tensor | None = None) -> Tensor:
+    """Mean over the voxels, or over `known` (B, C) of them."""
     if reduction not in tuple(Reduction):
         raise OcnfError("no such reduction", field="reduction", found=reduction,
                         expected=" or ".join(Reduction))
     depth, height, width = pair.structure.shape
-    means = pair.sum_over_voxels(costs).mean(1) / (depth * height * width)  # (B, C) -> (B,)
+    sums = pair.sum_over_voxels(costs)  # (B, C)
+    if known is None:
+        means = sums.mean(1) / (depth * height * width)  # (B,)
+    else:
+        means = (sums / known.clamp(min=1).to(sums.dtype)).mean(1)
     return means.mean() if reduction == Reduction.MEAN else means

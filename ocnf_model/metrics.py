@@ -46,6 +46,15 @@ def grid_mad_mm(prediction: GridOctree, truth: GridOctree, tau: float) -> float:
     return mad_mm(OctreeBatch.from_grids([prediction]), OctreeBatch.from_grids([truth]), tau).item()
 
 
+@torch.no_grad()
+def occupancy_mad(prediction: OctreeBatch, truth: OctreeBatch) -> Tensor:
+    """(B,) float64: mean difference of probabilities over the voxels whose truth is known, not negative."""
+    pair = Pair.of(prediction, truth)
+    known = (pair.target >= 0).double()
+    costs = (pair.prediction.double() - pair.target.double()).abs() * known
+    return (pair.sum_over_voxels(costs) / pair.sum_over_voxels(known).clamp(min=1)).mean(1)
+
+
 @dataclass(frozen=True, eq=False)
 class Overlap:
     """Voxels of each volume, (B,) float64, that are occupied in both, and in only one of the two."""
@@ -79,9 +88,9 @@ def tsdf_overlap(prediction: OctreeBatch, truth: OctreeBatch) -> Overlap:
 
 @torch.no_grad()
 def occupancy_overlap(prediction: OctreeBatch, truth: OctreeBatch) -> Overlap:
-    """Overlap of the voxels whose probability of being occupied is 0.5 or more."""
+    """Overlap of the voxels whose probability is 0.5 or more; a negative truth is not known, and ignored."""
     pair = Pair.of(prediction, truth)
-    return _overlap(pair, pair.prediction >= 0.5, pair.target >= 0.5)
+    return _overlap(pair, (pair.prediction >= 0.5) & (pair.target >= 0), pair.target >= 0.5)
 
 
 def _overlap(pair: Pair, predicted: Tensor, true: Tensor) -> Overlap:

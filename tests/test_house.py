@@ -83,8 +83,13 @@ ARROWS = {
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
-        "ocnf_data.errors ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan "
-        "ocnf_model.tables ocnf_model.training",
+        "ocnf_data.errors ocnf_data.terminal ocnf_model.completion ocnf_model.evaluation "
+        "ocnf_model.info ocnf_model.scan ocnf_model.tables ocnf_model.training",
+    "ocnf_model.completion":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
+        "ocnf_data.loading ocnf_data.octree ocnf_data.render ocnf_data.scenes ocnf_data.terminal "
+        "ocnf_data.views ocnf_model.checkpoint ocnf_model.devices ocnf_model.network "
+        "ocnf_model.octree ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
@@ -124,7 +129,7 @@ FLOORS = (
     ("ocnf_data.octree", "ocnf_model.octree", "ocnf_data.files", "ocnf_data.terminal"),
     (),
     ("ocnf_data.generation", "ocnf_data.report", "ocnf_data.synthesis", "ocnf_model.training",
-     "ocnf_model.evaluation", "ocnf_model.scan"),
+     "ocnf_model.completion", "ocnf_model.evaluation", "ocnf_model.scan"),
     ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info", "ocnf_model.tables"),
     ("ocnf_data.cli", "ocnf_model.cli"),
     ("ocnf_data.__main__", "ocnf_data", "ocnf_model"),
@@ -151,6 +156,7 @@ BORROWED = """
     ocnf_data.loading.dataset
     ocnf_data.loading.epochs
     ocnf_data.loading.mixture
+    ocnf_data.loading.order
     ocnf_data.manifest
     ocnf_data.manifest.schema
     ocnf_data.meshes.writing
@@ -158,12 +164,15 @@ BORROWED = """
     ocnf_data.octree.bits
     ocnf_data.octree.boxes
     ocnf_data.octree.surface
+    ocnf_data.octree.symmetry
     ocnf_data.octree.triangles
+    ocnf_data.render
     ocnf_data.render.pictures
     ocnf_data.render.shade
     ocnf_data.report.contents
     ocnf_data.report.page
     ocnf_data.report.sample
+    ocnf_data.scenes
     ocnf_data.shards
     ocnf_data.shards.browse
     ocnf_data.shards.catalogue
@@ -175,8 +184,11 @@ BORROWED = """
     ocnf_data.terminal
     ocnf_data.verify.summary
     ocnf_data.views.cameras
+    ocnf_data.views.rigs
     ocnf_data.views.scans
     ocnf_data.views.scans.vertex_colour
+    ocnf_data.views.sensor
+    ocnf_data.views.trajectories
 """
 
 # Public names that may be defined more than once, and why.

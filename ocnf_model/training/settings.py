@@ -137,6 +137,8 @@ class TrainSettings(Strict):
     """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
     normalise: Normaliser = Normaliser.NONE
     """What comes between a convolution and its ReLU."""
+    extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
+    """Channels of the inputs behind the encoding's; only completion has some."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """Settings for each level; the last ones hold for all levels that follow."""

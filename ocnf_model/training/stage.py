@@ -16,7 +16,6 @@ from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.loading.arguments import OnError
-from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.checkpoint import (
@@ -30,7 +29,7 @@ from ocnf_model.checkpoint import (
 from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
 from ocnf_model.training.average import WeightAverage
-from ocnf_model.training.batches import Example, make_example
+from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.choice import is_better
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
@@ -61,7 +60,7 @@ class Job:
     settings: TrainSettings
     network: OctNetFusion
     training: EpochDataset
-    validation: ShardDataset
+    validation: EpochDataset
     facts: TrainingData
     target: str
     world: World
@@ -116,13 +115,13 @@ class Trainer:
 
     # ---- training
 
-    def _train(self, loader: DataLoader[Batch]) -> None:
+    def _train(self, loader: DataLoader[AnyBatch]) -> None:
         state, n_batches = self._state, len(self._job.training)
         self._job.training.set_epoch(state.epoch)
         self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
         self._job.network.eval()  # the levels before: their normalisation stays as it was trained
         self._level.train()
-        met: list[tuple[Batch, Tensor]] = []
+        met: list[tuple[AnyBatch, Tensor]] = []
         for batch in loader:
             met.append((batch, self._backward(batch, n_batches)))
             state.step = batch.step + 1
@@ -137,7 +136,7 @@ class Trainer:
             if state.steps % self._job.settings.save_every == 0 and state.step < n_batches:
                 self._save()
 
-    def _backward(self, batch: Batch, n_batches: int) -> Tensor:
+    def _backward(self, batch: AnyBatch, n_batches: int) -> Tensor:
         """Add a batch's share to the gradients; the loss of each sample, (B,)."""
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
@@ -151,13 +150,14 @@ class Trainer:
         (losses.mean() / group).backward()
         return losses.detach()
 
-    def _crop_losses(self, example: Example, batch: Batch, size: int, loss: Callable[..., Tensor]) -> Tensor:
+    def _crop_losses(self, example: Example, batch: AnyBatch, size: int,
+                     loss: Callable[..., Tensor]) -> Tensor:
         corners = draw_corners(example.target.structure, size, self._job.settings.seed, batch.epoch,
                                batch.keys)
         with self._precision():
             return crop_losses(self._job.network, example, self._state.level, corners, size, loss)
 
-    def _update(self, met: list[tuple[Batch, Tensor]]) -> float:
+    def _update(self, met: list[tuple[AnyBatch, Tensor]]) -> float:
         """A step of the optimiser over some batches; their mean loss over all ranks."""
         losses = torch.cat([losses for _, losses in met]).tolist()
         keys = [key for batch, _ in met for key in batch.keys]
@@ -195,7 +195,7 @@ class Trainer:
     # ---- validation
 
     @torch.no_grad()
-    def _validate(self, loader: DataLoader[Batch]) -> Validation:
+    def _validate(self, loader: DataLoader[AnyBatch]) -> Validation:
         """Means over the validation samples of all ranks."""
         job = self._job
         validator = Validator(job.network.output, job.network.encoding, job.facts.tau(self._resolution))
@@ -249,7 +249,7 @@ class Trainer:
         assert self._job.settings.resolutions is not None  # resolved
         return self._job.settings.resolutions[self._state.level]
 
-    def _example(self, batch: Batch) -> Example:
+    def _example(self, batch: AnyBatch) -> Example:
         return make_example(batch, self._job.network.output, self._job.target, self._job.world.device)
 
     def _forward(self, example: Example) -> LevelOutput:
@@ -269,7 +269,7 @@ def _is_finite(value: float) -> bool:
     return abs(value) < float("inf")
 
 
-def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
+def _loader(dataset: EpochDataset, job: Job) -> DataLoader[AnyBatch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
                       pin_memory=job.world.device.type == "cuda", worker_init_fn=use_one_thread)
