@@ -17,6 +17,7 @@ from rich.markup import escape
 from ocnf_data.encodings import Encoding
 from ocnf_data.export.settings import Coordinates, ExportFormat
 from ocnf_data.inspection.commands import check_command, show_command, stats_command
+from ocnf_data.report.commands import report_command
 from ocnf_data.terminal import print_error, run_app, show_version, stoppable
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ def _cores() -> int:
 
 Folder = Annotated[str, typer.Argument(metavar="DIR", help="A data set: a folder, or an fsspec URL.")]
 Meshes = Annotated[Path | None, typer.Option(
-    metavar="ROOT", help="The folder that the manifest's mesh paths are relative to.")]
+    "--meshes", "--root", metavar="ROOT",
+    help="The folder that the manifest's paths, of meshes or scans, are relative to.")]
 Jobs = Annotated[int, typer.Option(
     min=1, metavar="N", default_factory=_cores, show_default="one a core",
     help="Worker processes, each using one core and up to 0.7 GB.")]
@@ -159,6 +161,7 @@ def dataset_info_command(
 app.command("show")(stoppable(_err, "what is drawn stays")(show_command))
 app.command("stats")(stoppable(_err, "nothing was changed")(stats_command))
 app.command("check")(stoppable(_err, "nothing was changed")(check_command))
+app.command("report")(stoppable(_err, "no page was written; the same command starts again")(report_command))
 
 
 @app.command("repair")

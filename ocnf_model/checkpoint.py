@@ -49,6 +49,7 @@ class Architecture(Strict):
     context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     residual: bool = False
     normalise: Normaliser = Normaliser.NONE
+    extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
 
     @classmethod
     def of(cls, source: object) -> Architecture:

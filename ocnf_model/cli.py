@@ -17,11 +17,14 @@ from typer.core import TyperCommand
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.terminal import run_app, show_version, stoppable
+from ocnf_model.completion.commands import complete_app
 from ocnf_model.evaluation.methods import Method
+from ocnf_model.tables.command import tables_command
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
                   help="OctNetFusion: train, evaluate and inspect networks, and fuse depth with them.")
+app.add_typer(complete_app, name="complete")
 _out = Console(emoji=False)
 _err = Console(stderr=True, emoji=False)
 _debug = False
@@ -151,6 +154,8 @@ def evaluate_command(
     meshes: Annotated[Path | None, typer.Option(
         metavar="DIR", help="The folder that the data set was made from: measure surfaces against its meshes "
                             "instead of the finest ground truth.")] = None,
+    html: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="Also write a page with every model in 3-D, to be opened in a browser.")] = None,
 ) -> None:
     """Compare the network with plain and TV-L1 fusion: error by region, surface, overlap, time; and a figure.
 
@@ -161,7 +166,7 @@ def evaluate_command(
 
     methods = [str(name) for name in method] if method else None
     run_evaluate(run, data, split=split, out=out, device=device, methods=methods, weights=weights,
-                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes)
+                 limit=limit, n_figures=figures, up=up, console=_out, meshes=meshes, html=html)
 
 
 @app.command("choose-weight")
@@ -188,6 +193,10 @@ def choose_weight_command(
     run_choose_weight(data, out=out, resolutions=resolution, n_models=models, split=split, weights=grid,
                       console=_out)
     _out.print(f"The weights are in {escape(str(out))}", highlight=False, soft_wrap=True)
+
+
+app.command("tables")(stoppable(
+    _err, "what is finished is kept, and the same command goes on")(tables_command))
 
 
 class _OneBox(TyperCommand):

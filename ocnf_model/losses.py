@@ -69,17 +69,39 @@ def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduc
     return _reduce(pair, (pair.prediction - pair.target).abs(), reduction)
 
 
-def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
-    """Mean binary cross entropy over the voxels, of logits against occupancies in [0, 1]."""
-    pair = Pair.of(logits, occupancy)
-    costs = binary_cross_entropy_with_logits(pair.prediction, pair.target, reduction="none")
+def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
+                      reduction: str = Reduction.MEAN) -> Tensor:
+    """`l1_loss`, but a prediction beyond 1 costs nothing where the target is 1, nor below -1 where it is -1.
+
+    A TSDF is cut off there, and so is the prediction before it is used or measured: all distances beyond the
+    truncation are as right as its very value. A network need not hit 1 exactly in all of the free space.
+    """
+    pair = Pair.of(prediction, target)
+    beyond = (pair.target.abs() >= 1) & (pair.prediction * pair.target.sign() > 1)  # (L, C)
+    costs = (pair.prediction - pair.target).abs().masked_fill(beyond, 0.0)
     return _reduce(pair, costs, reduction)
 
 
-def _reduce(pair: Pair, costs: Tensor, reduction: str) -> Tensor:
+def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
+    """Mean binary cross entropy over the known voxels, of logits against occupancies in [0, 1].
+
+    A voxel whose occupancy is negative is not known and does not count; a grid without any has the loss 0.
+    """
+    pair = Pair.of(logits, occupancy)
+    known = pair.target >= 0
+    costs = binary_cross_entropy_with_logits(pair.prediction, pair.target.clamp(min=0), reduction="none")
+    return _reduce(pair, costs * known, reduction, pair.sum_over_voxels(known.double()))
+
+
+def _reduce(pair: Pair, costs: Tensor, reduction: str, known: Tensor | None = None) -> Tensor:
+    """Mean over the voxels, or over `known` (B, C) of them."""
     if reduction not in tuple(Reduction):
         raise OcnfError("no such reduction", field="reduction", found=reduction,
                         expected=" or ".join(Reduction))
     depth, height, width = pair.structure.shape
-    means = pair.sum_over_voxels(costs).mean(1) / (depth * height * width)  # (B, C) -> (B,)
+    sums = pair.sum_over_voxels(costs)  # (B, C)
+    if known is None:
+        means = sums.mean(1) / (depth * height * width)  # (B,)
+    else:
+        means = (sums / known.clamp(min=1).to(sums.dtype)).mean(1)
     return means.mean() if reduction == Reduction.MEAN else means

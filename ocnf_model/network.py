@@ -200,6 +200,7 @@ class OctNetFusion(nn.Module):
         normalise: `none` (the paper) or `batch`, which trains faster; it goes together with checkpointing no
             more than any layer that remembers what passed through it.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
+        extra_channels: channels that every input has behind the encoding's, 0 or more.
 
     Raises:
         OcnfError: a setting outside its range.
@@ -209,7 +210,7 @@ class OctNetFusion(nn.Module):
         self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
         band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normaliser.NONE,
-        checkpointing: bool = False,
+        checkpointing: bool = False, extra_channels: int = 0,
     ) -> None:
         super().__init__()
         self.encoding = _choice(Encoding, "encoding", encoding)
@@ -224,9 +225,11 @@ class OctNetFusion(nn.Module):
         self.channels = channels[0], channels[1], channels[2]
         self.band, self.context, self.residual = band, context, residual
         self.normalise = _choice(Normaliser, "normalise", normalise)
+        self.extra_channels = extra_channels
+        self.in_channels = self.encoding.channels + extra_channels
         carried = self.channels[0] if self.carry is Carry.FEATURES else 1
         self.levels = nn.ModuleList(
-            Level(self.encoding.channels + (carried if level else 0), self.channels, self.join, self.output,
+            Level(self.in_channels + (carried if level else 0), self.channels, self.join, self.output,
                   0 if level else context, residual, self.normalise)
             for level in range(levels)
         )
@@ -296,9 +299,10 @@ class OctNetFusion(nn.Module):
                             found=len(inputs), expected=f"1 to {len(self.levels)}, coarse to fine")
         for level, encoded in enumerate(inputs):
             field = f"inputs[{level}]"
-            if encoded.channels != self.encoding.channels:
+            if encoded.channels != self.in_channels:
+                extra = f" and {self.extra_channels} more" if self.extra_channels else ""
                 raise OcnfError("wrong channels", where="OctNetFusion", field=field, found=encoded.channels,
-                                expected=f"{self.encoding.channels} for {self.encoding}")
+                                expected=f"{self.in_channels} for {self.encoding}{extra}")
             size = tuple(n << level for n in inputs[0].shape)
             if encoded.shape != size or encoded.batch_size != inputs[0].batch_size:
                 raise OcnfError("sizes do not fit", where="OctNetFusion", field=field,

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import re
+import shutil
 import uuid
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+Decoded = tuple[dict[str, np.ndarray], dict[str, Any]]
 
 
 @pytest.fixture(scope="session")
@@ -39,3 +52,64 @@ def s3_url(_s3_endpoint: str, monkeypatch: pytest.MonkeyPatch) -> str:
     s3fs.S3FileSystem.clear_instance_cache()
     s3fs.S3FileSystem().mkdir(bucket)
     return f"s3://{bucket}"
+
+
+def _decode(text: str) -> Decoded:
+    """What `ocnf_data.report.blob` packed, number by number from its description."""
+    raw = zlib.decompress(base64.b64decode(text))
+    end = 4 + int.from_bytes(raw[:4], "little")
+    header = json.loads(raw[4:end])
+    arrays = {}
+    for name, (kind, shape, offset, coding) in header["arrays"].items():
+        width = np.dtype(kind).itemsize
+        n = int(np.prod(shape))
+        part = np.frombuffer(raw[end + offset : end + offset + n * width], np.uint8).reshape(width, n)
+        numbers = (256 ** np.arange(width)) @ part.astype(np.int64)
+        if coding == "delta":
+            numbers = np.cumsum(numbers.reshape(shape), axis=0) % 256**width
+        arrays[name] = numbers.reshape(shape)
+    return arrays, header["meta"]
+
+
+@pytest.fixture(scope="session")
+def decode_blob() -> Callable[[str], Decoded]:
+    """The arrays and the rest of what `ocnf_data.report.blob` packed."""
+    return _decode
+
+
+@pytest.fixture(scope="session")
+def read_page() -> Callable[[Path], tuple[dict[str, Any], Callable[[int], Decoded]]]:
+    """What a page says, and a function that gives the arrays and the rest of a sample by its number."""
+
+    def read(path: Path) -> tuple[dict[str, Any], Callable[[int], Decoded]]:
+        text = path.read_text(encoding="utf-8")
+        [found] = re.findall(r'<script type="application/json" id="page-data">(.*?)</script>', text)
+        page = json.loads(found)
+
+        def sample(number: int) -> Decoded:
+            if page["folder"]:
+                script = (path.parent / page["folder"] / f"{number:06d}.js").read_text()
+                [(n, key, blob)] = re.findall(r'^ocnfReceive\((\d+),(".*"),"([^"]*)"\)$', script)
+                assert (int(n), json.loads(key)) == (number, page["samples"][number]["key"])
+            else:
+                [blob] = re.findall(rf'<script type="text/plain" id="geometry-{number}">(.*?)</script>', text)
+            return _decode(blob)
+
+        return page, sample
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A real Chromium without a window, which draws WebGL with the processor."""
+    driver = pytest.importorskip("playwright.sync_api", reason="the pages are not looked at: no playwright")
+    program = next((found for name in ("chromium", "chromium-browser", "google-chrome", "chrome")
+                    if (found := shutil.which(name))), None)
+    with driver.sync_playwright() as playwright:
+        if program is None and not Path(playwright.chromium.executable_path).is_file():
+            pytest.skip("the pages are not looked at: no Chromium here (apt-get install chromium)")
+        chromium = playwright.chromium.launch(executable_path=program, args=[
+            "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"])
+        yield chromium
+        chromium.close()

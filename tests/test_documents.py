@@ -130,7 +130,12 @@ def test_commands_and_their_options_exist(path: Path) -> None:
     for program, subcommand, *words in command_lines(path):
         known = typer.main.get_group(COMMANDS[program]).commands
         assert subcommand in known, f"{program} {subcommand}"
-        options = {option for parameter in known[subcommand].params
+        command = known[subcommand]
+        if isinstance(command, typer.core.TyperGroup):
+            inner, *words = words
+            assert inner in command.commands, f"{program} {subcommand} {inner}"
+            command = command.commands[inner]
+        options = {option for parameter in command.params
                    for option in [*parameter.opts, *parameter.secondary_opts]}
         unknown = {word for word in words if word.startswith("--")} - options
         assert not unknown, f"{program} {subcommand} {unknown}"

@@ -26,8 +26,8 @@ ARROWS = {
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
         "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.files ocnf_data.generation "
-        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.shards ocnf_data.terminal "
-        "ocnf_data.verify",
+        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.report ocnf_data.shards "
+        "ocnf_data.terminal ocnf_data.verify",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
@@ -40,24 +40,31 @@ ARROWS = {
     "ocnf_data.generation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.scenes "
-        "ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
+        "ocnf_data.sequences ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
     "ocnf_data.inspection":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
-        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
-        "ocnf_data.views",
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.shards "
+        "ocnf_data.terminal ocnf_data.views",
     "ocnf_data.loading":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree "
         "ocnf_data.shards",
     "ocnf_data.manifest":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.meshes "
-        "ocnf_data.scenes ocnf_data.shapes ocnf_data.views",
+        "ocnf_data.scenes ocnf_data.sequences ocnf_data.shapes ocnf_data.views",
     "ocnf_data.meshes":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.octree "
         "ocnf_data.render ocnf_data.views",
     "ocnf_data.octree": "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors",
     "ocnf_data.render":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
+    "ocnf_data.report":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
+        "ocnf_data.verify ocnf_data.views",
     "ocnf_data.scenes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes ocnf_data.shapes",
+    "ocnf_data.sequences":
+        "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.octree "
+        "ocnf_data.views",
     "ocnf_data.shapes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes",
     "ocnf_data.shards":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.octree",
@@ -76,15 +83,20 @@ ARROWS = {
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
-        "ocnf_data.errors ocnf_data.terminal ocnf_model.evaluation ocnf_model.info ocnf_model.scan "
-        "ocnf_model.training",
+        "ocnf_data.errors ocnf_data.terminal ocnf_model.completion ocnf_model.evaluation "
+        "ocnf_model.info ocnf_model.scan ocnf_model.tables ocnf_model.training",
+    "ocnf_model.completion":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
+        "ocnf_data.loading ocnf_data.octree ocnf_data.render ocnf_data.scenes ocnf_data.terminal "
+        "ocnf_data.views ocnf_model.checkpoint ocnf_model.devices ocnf_model.network "
+        "ocnf_model.octree ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render "
-        "ocnf_data.shards ocnf_data.terminal ocnf_model.baselines ocnf_model.checkpoint "
-        "ocnf_model.devices ocnf_model.measures ocnf_model.metrics ocnf_model.network "
-        "ocnf_model.octree",
+        "ocnf_data.report ocnf_data.shards ocnf_data.terminal ocnf_model.baselines "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.measures ocnf_model.metrics "
+        "ocnf_model.network ocnf_model.octree",
     "ocnf_model.info": "ocnf_model.checkpoint ocnf_model.network ocnf_model.ops ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
     "ocnf_model.measures":
@@ -98,6 +110,10 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
         "ocnf_data.octree ocnf_data.render ocnf_data.views ocnf_model.baselines ocnf_model.checkpoint "
         "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
+    "ocnf_model.tables":
+        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.verify ocnf_data.views "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.training",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
@@ -112,9 +128,9 @@ FLOORS = (
     ("ocnf_data.arrays", "ocnf_data.encodings", "ocnf_data.errors", "ocnf_data.version"),
     ("ocnf_data.octree", "ocnf_model.octree", "ocnf_data.files", "ocnf_data.terminal"),
     (),
-    ("ocnf_data.generation", "ocnf_data.synthesis", "ocnf_model.training", "ocnf_model.evaluation",
-     "ocnf_model.scan"),
-    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info"),
+    ("ocnf_data.generation", "ocnf_data.report", "ocnf_data.synthesis", "ocnf_model.training",
+     "ocnf_model.completion", "ocnf_model.evaluation", "ocnf_model.scan"),
+    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info", "ocnf_model.tables"),
     ("ocnf_data.cli", "ocnf_model.cli"),
     ("ocnf_data.__main__", "ocnf_data", "ocnf_model"),
 )
@@ -140,23 +156,39 @@ BORROWED = """
     ocnf_data.loading.dataset
     ocnf_data.loading.epochs
     ocnf_data.loading.mixture
+    ocnf_data.loading.order
     ocnf_data.manifest
+    ocnf_data.manifest.schema
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits
     ocnf_data.octree.boxes
     ocnf_data.octree.surface
+    ocnf_data.octree.symmetry
     ocnf_data.octree.triangles
+    ocnf_data.render
     ocnf_data.render.pictures
     ocnf_data.render.shade
+    ocnf_data.report.contents
+    ocnf_data.report.page
+    ocnf_data.report.sample
+    ocnf_data.scenes
     ocnf_data.shards
+    ocnf_data.shards.browse
+    ocnf_data.shards.catalogue
     ocnf_data.shards.dataset
+    ocnf_data.shards.reader
+    ocnf_data.shards.tarformat
     ocnf_data.synthesis.dataset
     ocnf_data.synthesis.sources
     ocnf_data.terminal
+    ocnf_data.verify.summary
     ocnf_data.views.cameras
+    ocnf_data.views.rigs
     ocnf_data.views.scans
     ocnf_data.views.scans.vertex_colour
+    ocnf_data.views.sensor
+    ocnf_data.views.trajectories
 """
 
 # Public names that may be defined more than once, and why.

@@ -40,5 +40,5 @@ echo "setup: installing $torch_pin ${index:+from $index}"
 "${pip[@]}" install -q ${index:+--extra-index-url "$index"} -c "$here/constraints.txt" \
     "${torch_pin}${index:+$([ "$index" = "$cpu_index" ] && echo +cpu)}"
 echo "setup: installing the rest (a minute or two)"
-"${pip[@]}" install -q -c "$here/constraints.txt" -e "$here[generate,gl,remote,docs,dev]"
+"${pip[@]}" install -q -c "$here/constraints.txt" -e "$here[generate,completion,gl,remote,docs,dev]"
 "$venv/bin/python" -c 'import ocnf_data; print("setup: ocnf", ocnf_data.__version__, "is ready")'

@@ -22,6 +22,7 @@ PAGES: Final = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
     "ocnf_model/pretrained/README.md": "pretrained.md",
+    "ocnf_model/pretrained/completion/README.md": "pretrained-completion.md",
 }
 _LINK = re.compile(r"(\]\()([^)#:]+)([)#])")
 # What a browser fetches by itself; an <a href> waits for a click.

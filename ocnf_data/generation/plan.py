@@ -25,9 +25,10 @@ from typing import Any
 from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.generation.fingerprint import fingerprint
-from ocnf_data.generation.procedural import procedural_name
+from ocnf_data.generation.procedural import configuration_name, procedural_name
 from ocnf_data.generation.records import EXCLUDED, Failure, Item, ShardPlan
 from ocnf_data.manifest import SPLITS, Entry, Manifest
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.shards.tarformat import MAX_KEY, MAX_NAME, input_member, target_member
 
 PLAN_SCHEMA = 1
@@ -130,14 +131,17 @@ def list_items(manifest: Manifest, meshes: Path | None,
     A mesh has the same key whichever splits are asked for. Arguments and errors as for `make_plan`.
     """
     if meshes is not None and not meshes.is_dir():
-        raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
+        raise OcnfError("the folder of the meshes or scans is not there", code="missing", where=meshes,
                         field="source.root", fix="give it as --meshes ROOT")
-    found = manifest.source.entries(meshes, manifest.seed)
+    found = manifest.entries(meshes)
     entries, exclusions = _distinct([entry for entry in found if entry.excluded is None], meshes)
     exclusions += [_exclusion(entry, entry.excluded) for entry in found if entry.excluded is not None]
     keys = make_keys(entries, _key_limit(manifest))
     wanted = [(key, entry) for key, entry in zip(keys, entries, strict=True) if entry.split in splits]
-    sums = _checksums([entry for _, entry in wanted], meshes, manifest.limits.max_bytes)
+    if isinstance(manifest.source, SequenceSource) and meshes is not None:
+        sums = _scan_checksums([entry for _, entry in wanted], manifest.source, meshes)
+    else:
+        sums = _checksums([entry for _, entry in wanted], meshes, manifest.limits.max_bytes)
     items = [Item(key, entry.split, entry.category, entry_source(entry), sha256, entry.index)
              for (key, entry), sha256 in zip(wanted, sums, strict=True)]
     return items, [row for row in exclusions if row.split in splits]
@@ -174,6 +178,8 @@ def _readable(entry: Entry) -> str:
         return entry.key
     if entry.path is None:
         return f"{entry.category}-{entry.split}-{entry.index:04d}"
+    if entry.index is not None:
+        return f"{entry.category}-{entry.split}-{entry.index:04d}"
     path = PurePosixPath(entry.path)
     if path.stem.startswith(entry.category):
         return path.stem
@@ -183,7 +189,7 @@ def _readable(entry: Entry) -> str:
 def entry_source(entry: Entry) -> str:
     """What `Item.source` says of an entry."""
     if entry.path is not None:
-        return entry.path
+        return entry.path if entry.index is None else configuration_name(entry.path, entry.index)
     return procedural_name(entry.category, entry.split, entry.index or 0)
 
 
@@ -208,7 +214,7 @@ def _distinct(entries: Sequence[Entry], meshes: Path | None) -> tuple[list[Entry
     excluded: list[Failure] = []
     first: dict[str, Entry] = {}
     for entry in entries:
-        if entry.path is None:
+        if entry.path is None or entry.index is not None:
             kept.append(entry)
             continue
         known = first.setdefault(_identity(meshes / entry_source(entry)), entry)
@@ -264,6 +270,19 @@ def _checksums(entries: Sequence[Entry], meshes: Path | None, max_bytes: int) ->
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _scan_checksums(entries: Sequence[Entry], source: SequenceSource, root: Path) -> list[str | None]:
+    """The checksum of each entry's scan, taken once a scan; None where a depth map cannot be read."""
+    sums: dict[str, str | None] = {}
+    for entry in entries:
+        path = entry.path or ""
+        if path not in sums:
+            try:
+                sums[path] = source.open(root, path).checksum()
+            except OcnfError:  # its items will fail and say why
+                sums[path] = None
+    return [sums[entry.path or ""] for entry in entries]
 
 
 def _encode_items(items: Sequence[Item]) -> bytes:

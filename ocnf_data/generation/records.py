@@ -27,10 +27,12 @@ class Item:
         split: `train`, `val` or `test`.
         category: name of the category, as in the manifest.
         source: path of the mesh file relative to the meshes' root; `shapes:<category>:<split>:<index>` for a
-            procedural shape.
-        sha256: SHA-256 of the mesh file when the plan was made; None for procedural shapes, and for a file
-            that could not be read then (which becomes a failure row, not an aborted run).
-        index: number of a procedural shape within its category and split, from 0.
+            procedural shape; `sequence:<scan>:<index>` for a configuration of a scan.
+        sha256: SHA-256 of the mesh file when the plan was made, or of what a scan's depth depends on; None
+            for procedural shapes, and for a file that could not be read then (which becomes a failure row,
+            not an aborted run).
+        index: number of a procedural shape within its category and split, or of a configuration within its
+            scan and split, from 0.
     """
 
     key: str

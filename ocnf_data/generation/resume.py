@@ -9,6 +9,7 @@ from typing import Any
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.plan import PLAN_SCHEMA, Plan
+from ocnf_data.generation.procedural import is_configuration
 from ocnf_data.manifest import manifest_difference
 from ocnf_data.shards.dataset import DATASET, PLAN
 
@@ -94,12 +95,13 @@ def _compare_items(begun: Plan, plan: Plan, where: str) -> None:
     now = {(item.split, item.source): item for item in plan.items}
     for (split, source), item in then.items():
         found = now.get((split, source))
+        what = "scan" if is_configuration(source) else "mesh"
         if found is None:
-            raise OcnfError(f"a mesh of {split} is gone", code="changed", where=where, field=source,
+            raise OcnfError(f"a {what} of {split} is gone", code="changed", where=where, field=source,
                             found="no file", expected=f"sha256 {item.sha256}", fix=_ELSEWHERE)
         # A file that could not be read when the plan was made may be by now: --retry-failed picks it up.
         if item.sha256 is not None and found.sha256 != item.sha256:
-            raise OcnfError(f"a mesh of {split} has changed", code="changed", where=where, field=source,
+            raise OcnfError(f"a {what} of {split} has changed", code="changed", where=where, field=source,
                             found=f"sha256 {found.sha256}" if found.sha256 else "an unreadable file",
                             expected=f"sha256 {item.sha256}", fix=_ELSEWHERE)
     for (split, source) in now.keys() - then.keys():

@@ -27,10 +27,12 @@ from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
 from ocnf_data.generation.resume import adopt
+from ocnf_data.generation.sequences import scan_notes
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
 from ocnf_data.generation.worker import supervisor
 from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup
 from ocnf_data.manifest import SPLITS, Manifest, load_manifest
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.shards.catalogue import SplitCatalogue
 from ocnf_data.shards.dataset import (
     DATASET,
@@ -74,7 +76,7 @@ def generate(
     Args:
         manifest: a manifest, or the path of its YAML.
         out: a folder or fsspec URL. `memory://` takes jobs=1 only.
-        meshes: the folder that the manifest's mesh paths are relative to.
+        meshes: the folder that the manifest's paths, of meshes or scans, are relative to.
         jobs: worker processes, each using one core.
         backend: `loky` (this machine), `dask` or `ray`; the latter two join the cluster that the environment
             variable DASK_SCHEDULER_ADDRESS or RAY_ADDRESS names, and else start `jobs` local workers.
@@ -93,6 +95,9 @@ def generate(
         manifest = load_manifest(manifest)
     store = Store(out)
     _check_places(store, jobs, backend, keeps=manifest.views == "keep", views=views)
+    if views is not None and isinstance(manifest.source, SequenceSource):
+        raise OcnfError("the views of scans are their own, and none are rendered", field="views", found=views,
+                        fix="leave it out")
     root = manifest.meshes_root(meshes)
     console = Console(stderr=True, quiet=not progress)
     with exclusive(store):
@@ -100,6 +105,8 @@ def generate(
                                lambda: make_plan(manifest.by_chance_alone(), root, splits))
         for note in split_notes(plan, manifest, splits):
             console.print(f"note: {note}", highlight=False, markup=False)
+        if isinstance(manifest.source, SequenceSource) and root is not None:
+            warnings += scan_notes(manifest.source, root)
         if views is not None:
             warnings += _compare_views(views, plan, manifest)
         for warning in warnings:

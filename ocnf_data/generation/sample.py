@@ -13,26 +13,26 @@ from typing import Any
 
 import numpy as np
 
-from ocnf_data.arrays import F32, F64
+from ocnf_data.arrays import F64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
-from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
+from ocnf_data.fusion import DepthPyramid
 from ocnf_data.generation.fingerprint import view_fingerprint
+from ocnf_data.generation.inputs import Noise, fuse_input, fuse_truth, noise_facts, observe
 from ocnf_data.generation.procedural import make_procedural
 from ocnf_data.generation.records import Item, Sample, Stages
-from ocnf_data.manifest import Manifest, Target, Variant
+from ocnf_data.generation.sequences import make_sequence_sample
+from ocnf_data.manifest import Manifest
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.meshes import Mesh, Normalisation, normalise, read_mesh
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.codec import encode
-from ocnf_data.octree.occupied import occupied
 from ocnf_data.render import render_depth
 from ocnf_data.render.clearance import clearance
 from ocnf_data.shards.tarformat import JSON, input_member, target_member
 from ocnf_data.views.cameras import Views
-from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.rigs import look_from, rig_from_name
-from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
 from ocnf_data.views.store import KeptViews, ViewStore
 from ocnf_data.views.trajectories import path_around, path_inside
 
@@ -61,7 +61,7 @@ def make_sample(
     keep: ViewStore | None = None,
     stages: Stages | None = None,
 ) -> Sample:
-    """The sample of an item.
+    """The sample of an item: of a mesh, or of a scan (`generation.sequences`).
 
     Args:
         manifest: the manifest of the data set.
@@ -77,6 +77,8 @@ def make_sample(
             one that was planned with; `invisible` where no view sees any of it.
     """
     stages = Stages() if stages is None else stages
+    if isinstance(manifest.source, SequenceSource):
+        return make_sequence_sample(manifest, manifest.source, item, meshes, keep, stages)
     with stages("read"):
         mesh = read_item(manifest, item, meshes)
     with stages("normalise"):
@@ -103,7 +105,8 @@ def make_sample(
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
         with stages("noise"):
-            seen = observe(manifest, views, variant, noise)
+            indices = manifest.view_indices(variant)
+            seen = observe(views.subset(indices), indices, variant, noise)
         with stages("pyramid"):
             pyramid = DepthPyramid(seen)
         for encoding in variant.encodings:
@@ -196,55 +199,6 @@ def _cameras(manifest: Manifest, vertices: F64, mesh: Mesh, key: str) -> tuple[F
     return path_inside(n, manifest.seed, key, first, last, free, margin)
 
 
-def fuse_truth(manifest: Manifest, pyramid: DepthPyramid, resolution: int) -> GridOctree:
-    """The ground truth, out of all views of the rig without noise."""
-    truth = fuse_tsdf(pyramid, resolution, manifest.normalise.extent, manifest.truncation(resolution))
-    return occupied(truth) if manifest.target is Target.OCCUPANCY else truth
-
-
-def fuse_input(manifest: Manifest, pyramid: DepthPyramid, encoding: Encoding, resolution: int) -> GridOctree:
-    """An input, out of the views that it sees."""
-    return fuse(pyramid, encoding, resolution, manifest.normalise.extent, manifest.truncation(resolution))
-
-
-def observe(manifest: Manifest, views: Views, variant: Variant, noise: Noise) -> Views:
-    """The noisy views that an input is made of."""
-    indices = manifest.view_indices(variant)
-    seen = views.subset(indices)
-    if variant.noise == "kinect":
-        return seen.with_depth(np.stack([
-            add_sensor_noise(depth, K, noise.sensor(view), variant.strength, variant.metres)
-            for view, depth, K in zip(indices, seen.depth, seen.K, strict=True)]))
-    if variant.sigma == 0:
-        return seen
-    return seen.with_depth(np.stack([add_noise(depth, variant.sigma, noise(view))
-                                     for view, depth in zip(indices, seen.depth, strict=True)]))
-
-
-class Noise:
-    """Noise of each view of one item, drawn once for all variants."""
-
-    def __init__(self, seed: int, key: str, size: tuple[int, int]) -> None:
-        self._seed, self._key, self._size = seed, key, size
-        self._drawn: dict[int, F32] = {}
-
-    def sensor(self, view: int) -> SensorDraws:
-        """The draws of `views.sensor`: six numbers a pixel, drawn again rather than held."""
-        return sensor_draws(self._seed, self._key, view, self._size)
-
-    def __call__(self, view: int) -> F32:
-        """The standard normal noise (H, W) of Park's model."""
-        if view not in self._drawn:
-            self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
-        return self._drawn[view]
-
-
-def _noise_facts(variant: Variant) -> dict[str, Any]:
-    if variant.noise == "park":
-        return {"sigma": variant.sigma}
-    return {"noise": variant.noise, "strength": variant.strength, "metres": variant.metres}
-
-
 def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Normalisation, coverage: float,
            leaf_counts: dict[str, int]) -> dict[str, Any]:
     """The sample's `json` member. Lengths are in metres, pixels where they say so."""
@@ -263,7 +217,7 @@ def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Nor
         "seed": manifest.seed,
         "target": str(manifest.target),
         "truncation": {str(res): manifest.truncation(res) for res in manifest.resolutions},
-        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), **_noise_facts(variant)}
+        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), **noise_facts(variant)}
                    for variant in manifest.inputs},
         "leaf_counts": leaf_counts,
     }

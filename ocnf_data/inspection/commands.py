@@ -14,7 +14,8 @@ _out = Console(emoji=False, soft_wrap=True)
 
 _Folder = Annotated[str, typer.Argument(metavar="DIR", help="A data set: a folder, or an fsspec URL.")]
 _Meshes = Annotated[Path | None, typer.Option(
-    metavar="ROOT", help="The folder that the meshes were read from. [what the manifest says]")]
+    "--meshes", "--root", metavar="ROOT",
+    help="The folder that the meshes or scans were read from. [what the manifest says]")]
 
 
 def show_command(

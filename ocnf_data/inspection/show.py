@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from ocnf_data.arrays import F64, I64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.generation.remake import Remade, remake, remake_from_surface
 from ocnf_data.manifest import Manifest, Variant
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_data.render.pictures import Window, busiest_plane, busiest_window, draw_depth, draw_slice
 from ocnf_data.render.shade import best_azimuth, shade
+from ocnf_data.sequences.known import known_surface
 from ocnf_data.shards.browse import StoredSample
 from ocnf_data.shards.tarformat import input_member, target_member
 
@@ -67,8 +71,7 @@ def draw_sample(
     used = [coarse, fine] if fine > coarse else [fine]
     inputs = {res: sample.octree(input_member(chosen.name, encoding, res)) for res in used}
     targets = {res: sample.octree(target_member(res)) for res in used}
-    surface = octree_surface(targets[fine], manifest.normalise.extent,
-                             level=0.0 if manifest.target == "tsdf" else 0.5)
+    surface = _surface(manifest, targets[fine])
     remade, missing = _remade(sample, manifest, meshes, surface)
 
     noisy = remade.observed[chosen.name].depth
@@ -79,10 +82,11 @@ def draw_sample(
         ax.set_axis_off()
     azimuth = best_azimuth(remade.vertices, remade.mesh.faces, up)
     _picture(axes[0, 0], shade(remade.vertices, remade.mesh.faces, 640, azimuth, up=up),
-             missing or f"mesh, {len(remade.mesh.faces):,} faces")
+             missing or f"{_what(manifest)}, {len(remade.mesh.faces):,} faces")
     _picture(axes[0, 1], shade(*surface, 640, azimuth, up=up, frame=remade.vertices, colour=_TRUTH_COLOUR),
              f"ground-truth surface, {fine}³")
-    limits = _draw_views(axes[0, 2], list(axes[1:-1].flat), remade, manifest, chosen)
+    limits = _draw_views(axes[0, 2], list(axes[1:-1].flat), remade, chosen,
+                         sample.facts["inputs"][chosen.name])
 
     plane = busiest_plane(targets[coarse], _AXIS)
     truth_kind = Encoding.OCCUPANCY if manifest.target == "occupancy" else Encoding.TSDF
@@ -125,10 +129,24 @@ def _remade(sample: StoredSample, manifest: Manifest, meshes: Path | None,
     try:
         return remake(manifest, sample.facts, manifest.meshes_root(meshes)), ""
     except OcnfError:
-        if meshes is not None:
+        if meshes is not None or isinstance(manifest.source, SequenceSource):
             raise
         return (remake_from_surface(manifest, sample.facts, *surface),
                 "ground-truth surface in place of the mesh,\nof which the depth is too (give --meshes DIR)")
+
+
+def _surface(manifest: Manifest, truth: GridOctree) -> tuple[F64, I64]:
+    """Of a scan without the walls around what no frame has seen, which would hide it."""
+    extent = manifest.normalise.extent
+    if manifest.target == "occupancy":
+        return octree_surface(truth, extent, level=0.5)
+    if isinstance(manifest.source, SequenceSource):
+        return known_surface(truth, extent)
+    return octree_surface(truth, extent)
+
+
+def _what(manifest: Manifest) -> str:
+    return "surface of all frames" if isinstance(manifest.source, SequenceSource) else "mesh"
 
 
 def _picture(ax: Axes, image: Any, title: str) -> None:
@@ -136,10 +154,13 @@ def _picture(ax: Axes, image: Any, title: str) -> None:
     ax.set_title(title, fontsize=10)
 
 
-def _draw_views(first: Axes, others: list[Axes], remade: Remade, manifest: Manifest,
-                variant: Variant) -> tuple[float, float]:
-    """The first view without noise, then every view as the input has it; the range of the colours, metres."""
-    indices = manifest.view_indices(variant)
+def _draw_views(first: Axes, others: list[Axes], remade: Remade, variant: Variant,
+                facts: Mapping[str, Any]) -> tuple[float, float]:
+    """The first view without noise, then every view as the input has it; the range of the colours, metres.
+
+    `facts` are the sample's of the input: its views, and of scans their frames' names.
+    """
+    indices = facts["views"]
     clean, noisy = remade.views.depth, remade.observed[variant.name].depth
     seen = clean[list(indices)]
     hit = seen[np.isfinite(seen) & (seen > 0)]
@@ -147,6 +168,8 @@ def _draw_views(first: Axes, others: list[Axes], remade: Remade, manifest: Manif
     noise = f"sigma {variant.sigma:g}" if variant.noise == "park" else \
         f"{variant.noise}, strength {variant.strength:g}"
     titles = [f"depth without noise, view {indices[0]}", *(f"input view {i}, {noise}" for i in indices)]
+    if "frames" in facts:
+        titles = [f"depth of {facts['frames'][0]}", *(f"input, {name}" for name in facts["frames"])]
     for ax, depth, title in zip([first, *others], [clean[indices[0]], *noisy], titles, strict=False):
         ax.set_axis_on()
         draw_depth(ax, depth, limits)

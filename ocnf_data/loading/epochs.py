@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import torch.distributed
 from torch.utils.data import IterableDataset, get_worker_info
@@ -20,6 +20,18 @@ from ocnf_data.loading.batch import Batch
 from ocnf_data.loading.cursor import Cursor, Identity, Position
 from ocnf_data.loading.loader_state import make_state, read_state
 from ocnf_data.loading.order import Partition
+
+
+class Placed(Protocol):
+    """A batch that knows its place."""
+
+    @property
+    def epoch(self) -> int:
+        """The epoch it belongs to."""
+
+    @property
+    def step(self) -> int:
+        """Its number in the epoch, on its rank."""
 
 
 class EpochDataset(IterableDataset[Batch]):
@@ -64,6 +76,11 @@ class EpochDataset(IterableDataset[Batch]):
         """SHA-256 of the data that samples come from."""
 
     @property
+    def variant(self) -> str | None:
+        """Name of the inputs; None where they have none."""
+        return None
+
+    @property
     def n_samples(self) -> int:
         """Samples in an epoch, of all ranks together."""
         return self._partition.n_samples
@@ -82,7 +99,7 @@ class EpochDataset(IterableDataset[Batch]):
         if not (resumed and position.epoch == epoch):
             self._cursor.set(Position(epoch, 0))
 
-    def state_dict(self, batch: Batch | None = None) -> dict[str, Any]:
+    def state_dict(self, batch: Placed | None = None) -> dict[str, Any]:
         """The state after a batch, whatever was prefetched beyond it; before the next `iter` if None. JSON.
 
         All ranks have the same state after the same step, except with uneven="exact", where each has its own.

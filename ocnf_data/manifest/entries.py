@@ -17,14 +17,20 @@ SPLITS = ("train", "val", "test")
 
 @dataclass(frozen=True)
 class Entry:
-    """One mesh of a data set: either a file (`path`) or the `index`-th procedural shape of its category."""
+    """One input of a data set.
+
+    Either a mesh file (`path`), or the `index`-th procedural shape of its category, or, with both, the
+    `index`-th configuration of a scan.
+    """
 
     split: str
     category: str
     path: str | None = None
-    """POSIX path of the mesh file, relative to the meshes' root (or absolute, where a list says so)."""
+    """POSIX path of the mesh file or of the scan's folder, relative to the root (or absolute, where a list
+    says so)."""
     index: int | None = None
-    """Number of the procedural shape within its category and split, from 0."""
+    """Number of the procedural shape within its category and split, or of the configuration within its scan
+    and split, from 0."""
     key: str | None = None
     """The key an explicit list gives it."""
     excluded: str | None = None
@@ -77,7 +83,7 @@ Categories = Annotated[SplitCategories, BeforeValidator(_split_categories)]
 
 def no_root(where: object = None) -> OcnfError:
     """The error for a source of files whose root folder nobody gave."""
-    return OcnfError("the folder of the meshes is not given", code="missing", where=where,
+    return OcnfError("the folder of the meshes or scans is not given", code="missing", where=where,
                      field="source.root",
                      fix="give it as --meshes ROOT, or as source.root in the manifest")
 

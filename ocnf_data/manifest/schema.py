@@ -30,12 +30,13 @@ from pydantic import (
 from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, refuse_repeats, refused, validate
 from ocnf_data.manifest.camera import Camera, Normalise
-from ocnf_data.manifest.entries import no_root
+from ocnf_data.manifest.entries import Entry, no_root
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
 from ocnf_data.manifest.mixture import MixtureSource
 from ocnf_data.manifest.modelnet import ModelNetSource
 from ocnf_data.manifest.scenes import ScenesSource
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.manifest.synthesis import Synthesis
 from ocnf_data.manifest.variant import Variant
@@ -91,9 +92,9 @@ class Manifest(Strict):
     seed: Annotated[Int, Field(ge=0, lt=2**63)] = 0
     """Seed of all that is drawn: procedural shapes, splits of a folder, the order of items, the noise."""
     source: Annotated[ShapesSource | ModelNetSource | FolderSource | ListSource | MixtureSource
-                      | ScenesSource,
+                      | ScenesSource | SequenceSource,
                       Field(discriminator="kind")]
-    """The meshes and their splits; `kind` says which of the six."""
+    """The meshes, or the scans, and their splits; `kind` says which of the seven."""
     normalise: Normalise = Normalise()
     camera: Camera = Camera()
     renderer: Literal["raster", "pyrender"] = "raster"
@@ -142,6 +143,8 @@ class Manifest(Strict):
 
     @model_validator(mode="after")
     def _fields_fit_together(self) -> Manifest:
+        if isinstance(self.source, SequenceSource):
+            return self._fit_for_scans()
         n = self.camera.n_views
         for i, variant in enumerate(self.inputs):
             if variant.views > n:
@@ -157,6 +160,14 @@ class Manifest(Strict):
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
                           expected=f"more than {self.normalise.radius:.4g} m")
+        return self
+
+    def _fit_for_scans(self) -> Manifest:
+        if self.camera != Camera():
+            raise refused("the cameras of scans are their own", at="camera", expected="no camera section")
+        if self.synthesis is not None:
+            raise refused("samples without end are drawn of meshes and shapes, not of scans", at="synthesis",
+                          expected="no synthesis section")
         return self
 
     @classmethod
@@ -199,11 +210,27 @@ class Manifest(Strict):
         """Which views of the rig an input sees."""
         return tuple(int(i) for i in view_subset(self.camera.n_views, variant.views))
 
-    def meshes_root(self, override: str | os.PathLike[str] | None = None) -> Path | None:
-        """The folder that mesh paths are relative to; None for procedural shapes.
+    @property
+    def most_views(self) -> int:
+        """Number of views of the input that sees the most."""
+        return max(variant.views for variant in self.inputs)
+
+    def entries(self, root: Path | None) -> list[Entry]:
+        """The entries of the source, in a fixed order.
 
         Args:
-            override: `--meshes`; wins over the manifest's `source.root`, which is relative to the manifest.
+            root: what `meshes_root` gives.
+        """
+        if isinstance(self.source, SequenceSource):
+            return self.source.entries(root, self.seed, self.most_views)
+        return self.source.entries(root, self.seed)
+
+    def meshes_root(self, override: str | os.PathLike[str] | None = None) -> Path | None:
+        """The folder that the paths of meshes or scans are relative to; None for procedural shapes.
+
+        Args:
+            override: `--meshes` (or `--root`); wins over the manifest's `source.root`, which is relative to
+                the manifest.
 
         Raises:
             OcnfError: neither is given.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ocnf_data.arrays import F32, I32, I64
+from ocnf_data.arrays import F32, F64, I32, I64
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 AXES = "zyx"
 _NO_MEASUREMENT = (0.85, 0.25, 0.25, 1.0)
 # Inside or unseen, surface, free: light enough at both ends for the outlines of leaves to show.
-_DISTANCE_COLOURS = ["#b5483a", "#e0907f", "#ffffff", "#b9d6ec", "#8db9dd"]
+DISTANCE_COLOURS = ("#b5483a", "#e0907f", "#ffffff", "#b9d6ec", "#8db9dd")
 
 
 def as_distance(data: F32, encoding: Encoding) -> F32:
@@ -109,7 +109,7 @@ def draw_slice(
     value = as_distance(octree.data[rows], encoding)
     height, breadth = (n for a, n in enumerate(octree.shape) if a != axis)
     image = paint_squares(squares, value, (height, breadth))
-    colours = LinearSegmentedColormap.from_list("distance", _DISTANCE_COLOURS)
+    colours = LinearSegmentedColormap.from_list("distance", list(DISTANCE_COLOURS))
     ax.imshow(image, origin="lower", cmap=colours, vmin=-1, vmax=1, extent=(0, breadth, 0, height),
               interpolation="nearest")
     r, c, w = squares.T
@@ -125,16 +125,34 @@ def draw_slice(
     ax.set_yticks([])
 
 
-def draw_depth(ax: Axes, depth: F32, limits: tuple[float, float]) -> None:
-    """Draw one depth map (H, W): colour is metres, white a free ray (`inf`), red no measurement (`0`)."""
+def depth_colours(depth: F32, limits: tuple[float, float]) -> F64:
+    """A depth map (H, W) as RGBA (H, W, 4) in 0..1: white a free ray (`inf`), red no measurement (`0`).
+
+    Args:
+        depth: metres.
+        limits: the nearest and the farthest depth of the scale, metres.
+    """
     import matplotlib as mpl
 
     shown = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan)
     near, far = limits
-    colours = mpl.colormaps["viridis_r"](np.clip((shown - near) / max(far - near, 1e-6), 0, 1))
+    colours = np.asarray(mpl.colormaps["viridis_r"](np.clip((shown - near) / max(far - near, 1e-6), 0, 1)))
     colours[np.isinf(depth)] = 1.0
     colours[depth == 0] = _NO_MEASUREMENT
-    ax.imshow(colours, interpolation="nearest")
+    return colours
+
+
+def depth_scale(n: int = 9) -> list[str]:
+    """The colours of `depth_colours` from the nearest depth to the farthest, `#rrggbb`."""
+    import matplotlib as mpl
+    from matplotlib.colors import to_hex
+
+    return [to_hex(colour) for colour in mpl.colormaps["viridis_r"](np.linspace(0, 1, n))]
+
+
+def draw_depth(ax: Axes, depth: F32, limits: tuple[float, float]) -> None:
+    """Draw one depth map (H, W): colour is metres, white a free ray (`inf`), red no measurement (`0`)."""
+    ax.imshow(depth_colours(depth, limits), interpolation="nearest")
     ax.set_xticks([])
     ax.set_yticks([])
 

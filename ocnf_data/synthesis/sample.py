@@ -14,7 +14,8 @@ from ocnf_data.arrays import F64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid
-from ocnf_data.generation.sample import fuse_input, fuse_truth, read_item, render_item
+from ocnf_data.generation.inputs import fuse_input, fuse_truth
+from ocnf_data.generation.sample import read_item, render_item
 from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.synthesis import Synthesis
 from ocnf_data.meshes import Mesh, normalise

@@ -13,6 +13,7 @@ from ocnf_data.generation.plan import entry_source, list_items
 from ocnf_data.generation.records import Item
 from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.mixture import MixtureSource, SourcePart
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.manifest.synthesis import Synthesis
 
@@ -72,13 +73,17 @@ def open_sources(manifest: Manifest, meshes: Path | None, split: str,
     Raises:
         OcnfError: the folder or a category is missing, or nothing is left to draw from (`empty`).
     """
+    source = manifest.source
+    if isinstance(source, SequenceSource):
+        raise OcnfError("samples without end are drawn of meshes and shapes, not of scans",
+                        where=manifest.name, field="source.kind", found="sequence",
+                        fix="make a data set of it with `ocnf-data generate`, and train on that")
     if meshes is not None and not meshes.is_dir():
         raise OcnfError("the folder of the meshes is not there", code="missing", where=meshes,
                         field="source.root", fix="give it as --meshes ROOT")
     if manifest.synthesis is None:
         manifest = manifest.model_copy(update={"synthesis": Synthesis()})
     assert manifest.synthesis is not None
-    source = manifest.source
     parts = source.parts if isinstance(source, MixtureSource) else (SourcePart(source=source),)
     items = {item.source: item for item in list_items(manifest, meshes, (split,))[0]}
     pools = tuple(pool for pool in (_pool(part, items, meshes, manifest.seed, split, categories)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -22,6 +23,9 @@ from ocnf_model.evaluation.tables import markdown, print_tables
 from ocnf_model.evaluation.weights import read_weights, run_choose_weight
 from ocnf_model.measures.regions import EXACT
 from ocnf_model.network import OctNetFusion
+
+if TYPE_CHECKING:
+    from ocnf_model.evaluation.page import EvaluationPage
 
 __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 
@@ -68,7 +72,7 @@ class Evaluation:
 def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None = None, device: str = "auto",
                  methods: list[str] | None = None, weights: Path | None = None, limit: int | None = None,
                  n_figures: int = 3, up: str = "z", console: Console | None = None,
-                 meshes: Path | None = None) -> Evaluation:
+                 meshes: Path | None = None, html: Path | None = None) -> Evaluation:
     """Evaluate a run, print the tables and write them.
 
     Args:
@@ -88,12 +92,17 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         meshes: the folder that the data set's meshes were read from: surfaces are then measured against the
             meshes themselves. None: against the meshes where they are procedural, else against the surface
             of the finest ground truth.
+        html: a page to write, on which every model is shown in 3-D; None for none.
 
     Raises:
         OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
     """
     console = console or Console()
-    network, resolutions = None, None
+    network, resolutions, page = None, None, None
+    if html is not None:
+        from ocnf_model.evaluation.page import EvaluationPage
+
+        page = EvaluationPage(html, data, split, meshes, up)
     if methods is None or Method.OURS in methods:
         trained = open_run(run)
         trained.check_truncation(data, DatasetFacts.read(data).truncation_voxels)
@@ -104,7 +113,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         out = run_path(run) / "evaluation" / split
     found = evaluate(network, data, resolutions=resolutions, split=split, methods=methods, weights=weights,
                      limit=limit, n_figures=n_figures if out is not None else 0, up=up, console=console,
-                     meshes=meshes,
+                     meshes=meshes, page=page,
                      title=f"{data}, {split}" + (f": {run}" if network is not None else ""))
     print_tables(console, found.summaries, found.notes, found.ceilings)
     if out is None:
@@ -112,13 +121,17 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
     else:
         found.write(out)
         console.print(f"Tables and figures are in {out}", highlight=False, soft_wrap=True)
+    if page is not None:
+        paths = page.finish(found.title, found.summaries, found.ceilings, found.notes)
+        console.print(f"Every model in 3-D: {' and '.join(map(str, paths))}", highlight=False, soft_wrap=True)
     return found
 
 
 def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[int] | None = None,
              split: str = "test", methods: Sequence[str] | None = None,
              weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
-             console: Console | None = None, title: str = "", meshes: Path | None = None) -> Evaluation:
+             console: Console | None = None, title: str = "", meshes: Path | None = None,
+             page: EvaluationPage | None = None, categories: Sequence[str] | None = None) -> Evaluation:
     """Evaluate a network where it is, or the baselines alone.
 
     Args:
@@ -134,6 +147,8 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         console: where the progress is shown; None shows none.
         title: title of the report.
         meshes: the folder that the data set's meshes were read from, as for `run_evaluate`.
+        page: gets every model with its reconstructions; the caller finishes it. None: there is no page.
+        categories: models of these only; None for all.
     """
     facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
@@ -147,10 +162,13 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     weight = _weights(weights, plans, facts.resolutions, notes)
     origins = Origins(facts, meshes)
     notes += _measured_against(facts, origins, plans)
+    if page is not None:
+        page.begin(plans)
     rows: list[Row] = []
     ceilings: list[Row] = []
     figures: dict[str, bytes] = {}
-    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit) for plan in plans]
+    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit, categories)
+            for plan in plans]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for plan, models in zip(plans, sets, strict=True):
@@ -160,12 +178,17 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
                 draw = len(drawn) < n_figures and model.category not in drawn
                 surfaces: dict[tuple[int, str], MeshArrays] = {}
                 captions: dict[tuple[int, str], str] = {}
+                results = []
                 for result in bench.run(model):
                     (ceilings if result.row.method == TRUTH else rows).append(result.row)
                     if draw:
                         place = result.row.resolution, result.row.method
                         surfaces[place] = result.field.mesh(facts.extent)
                         captions[place] = caption(result.row)
+                    if page is not None:
+                        results.append(result)
+                if page is not None:
+                    page.add(model.key, plan.variant, results)
                 if draw:
                     drawn.add(model.category)
                     figures[f"{plan.variant}-{model.key}.png"] = draw_surfaces(

@@ -52,6 +52,8 @@ def gather(neighbours: Neighbours, features: Tensor,
     table = neighbours.table.view(-1)  # (R, 27) -> (27 R,)
     lengths = [chunk.leaves.stop - chunk.leaves.start for chunk in chunks if chunk.entries is None]
     buffer = features.new_empty(N_OFFSETS * max(lengths, default=0), features.shape[1])
+    # Sums are of float32; all rows are converted once, not by each chunk.
+    summed = features.float() if len(lengths) < len(chunks) and features.element_size() < 4 else features
     for chunk in chunks:
         first, end = N_OFFSETS * chunk.leaves.start, N_OFFSETS * chunk.leaves.stop
         if chunk.entries is None:
@@ -61,7 +63,7 @@ def gather(neighbours: Neighbours, features: Tensor,
             leaves = neighbours.irregular[chunk.leaves]  # (m,)
             starts = neighbours.starts[first : end + 1] - chunk.entries.start  # (27 m + 1,)
             gathered = sparse_product(starts, neighbours.columns[chunk.entries],
-                                      neighbours.weights[chunk.entries], features)
+                                      neighbours.weights[chunk.entries], summed).to(features.dtype)
         yield leaves, gathered.view(len(leaves), -1)  # (27 m, C) -> (m, 27 C)
 
 

@@ -23,7 +23,7 @@ from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.scan.region import Region
 
-_Report = Callable[[int, int], None]
+Told = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Baseline:
     resolution: int = 256
     weight: float | None = None
 
-    def __call__(self, pyramid: DepthPyramid, region: Region, report: _Report | None = None,
+    def __call__(self, pyramid: DepthPyramid, region: Region, report: Told | None = None,
                  ) -> dict[int, GridOctree]:
         """The region's cube by resolution, of which there is one: TSDF / tau, 1 channel."""
         size, centre = region.size, region.centre
@@ -114,7 +114,7 @@ class Learned:
             return self
         return Learned(self.network, self.resolutions[: fitting[0]], self.truncation_voxels)
 
-    def __call__(self, pyramid: DepthPyramid, region: Region, report: _Report | None = None,
+    def __call__(self, pyramid: DepthPyramid, region: Region, report: Told | None = None,
                  ) -> dict[int, GridOctree]:
         """The region's cube by resolution, coarse to fine, 1 channel each.
 

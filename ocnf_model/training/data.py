@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 VALIDATION = "validation"
 """Folder in a run of what a manifest's validation samples were made into."""
+SAMPLES = "samples"
+"""Folder in a run of frames that were made into octrees (see `completion`)."""
 CACHE = "cache"
 """Folder in a run of the ground truths that epochs share."""
 _MANIFESTS = frozenset({".yaml", ".yml", ".json"})
@@ -48,8 +50,8 @@ class DataSource(Protocol):
     def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """The samples to train a level on."""
 
-    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
-        """The samples to validate a level with."""
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
+        """The samples to validate a level with, each once."""
 
 
 class StoredData:
@@ -167,7 +169,7 @@ class MixedData:
             mixed.append((dataset, part.weight))
         return _mix(mixed, settings, level)
 
-    def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
+    def validation(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """The base's validation set, in the variant that the settings name or its manifest names first."""
         return self._base.validation(folder, with_variant(settings, self.manifest, self.where), level)
 

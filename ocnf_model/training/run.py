@@ -30,7 +30,7 @@ from ocnf_model.checkpoint import Architecture, TrainingData, load_level
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.curves import Reporter, write_curves
-from ocnf_model.training.data import VALIDATION, DataSource, StoredData, open_data
+from ocnf_model.training.data import SAMPLES, VALIDATION, DataSource, StoredData, open_data
 from ocnf_model.training.extend import extend, raised_epochs
 from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
@@ -42,8 +42,8 @@ _SCHEMA = 1
 _MAX_SETTINGS = 16 * 2**20  # bytes
 
 
-def train(data: str | Path, out: str | Path, settings: TrainSettings | None = None, *, device: str = "auto",
-          console: Console | None = None, meshes: str | Path | None = None,
+def train(data: str | Path | DataSource, out: str | Path, settings: TrainSettings | None = None, *,
+          device: str = "auto", console: Console | None = None, meshes: str | Path | None = None,
           val: str | Path | None = None) -> OctNetFusion:
     """Train all levels, or go on where an earlier call with the same arguments, or fewer epochs, stopped.
 
@@ -51,7 +51,7 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
 
     Args:
         data: a data set that `generate` made, a folder or an fsspec URL; or a manifest (.yaml), whose samples
-            are drawn as they are needed.
+            are drawn as they are needed; or any other `DataSource`.
         out: folder of the run; a new one, or one begun with these settings.
         settings: None for the paper's.
         device: `auto`, `cpu`, `cuda`, `cuda:1`.
@@ -66,20 +66,23 @@ def train(data: str | Path, out: str | Path, settings: TrainSettings | None = No
         OcnfError: the data set lacks what is asked for, the folder belongs to another run, memory runs out,
             a loss is not finite, ...
     """
-    data, folder = str(data), Path(out)
+    folder = Path(out)
     console = console or Console(stderr=True, emoji=False)
     asked = settings or TrainSettings()
     with join_world(device) as world:
-        source = open_data(data, asked, None if meshes is None else Path(meshes),
-                           None if val is None else str(val))
-        settings = asked.resolved(source.manifest, None, data)
+        if isinstance(data, str | Path):
+            source = open_data(str(data), asked, None if meshes is None else Path(meshes),
+                               None if val is None else str(val))
+        else:
+            source = data
+        settings = asked.resolved(source.manifest, None, source.where)
         if world.is_main:
             _prepare(source, folder, settings, console)
         world.wait()
         for level in range(settings.levels):  # whatever is missing is said before hours of training
             variant = source.validation(folder, settings, level).variant
         source.training(folder, settings, settings.levels - 1)
-        settings = asked.resolved(source.manifest, variant, data)
+        settings = asked.resolved(source.manifest, variant, source.where)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
                 _begin(folder, settings, _training_data(source, folder, settings))
@@ -166,7 +169,7 @@ def _refuse_strangers(store: Store) -> None:
     if store.exists(SETTINGS):
         return
     strangers = [name for name in store.list()
-                 if name != ".lock" and not name.startswith(f"{VALIDATION}/")]
+                 if name != ".lock" and not name.startswith((f"{VALIDATION}/", f"{SAMPLES}/"))]
     if strangers:
         raise OcnfError("the folder is not empty, and not a run", code="occupied", where=store.url,
                         found=strangers[0], fix="name a new folder: nothing is overwritten")

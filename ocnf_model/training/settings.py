@@ -44,6 +44,15 @@ class Decay(StrEnum):
     """Half a cosine down to 0 at the end of the level, which short runs profit from."""
 
 
+class Loss(StrEnum):
+    """How far a TSDF is from the truth; an occupancy has the binary cross entropy."""
+
+    L1 = "l1"
+    """The mean absolute difference in units of tau, not clipped (the paper)."""
+    TRUNCATED_L1 = "truncated_l1"
+    """The same, but beyond the truncation distance every prediction on the right side is right."""
+
+
 class Stage(Strict):
     """How one level is trained; the defaults are those of the later levels."""
 
@@ -128,6 +137,8 @@ class TrainSettings(Strict):
     """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
     normalise: Normaliser = Normaliser.NONE
     """What comes between a convolution and its ReLU."""
+    extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
+    """Channels of the inputs behind the encoding's; only completion has some."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """Settings for each level; the last ones hold for all levels that follow."""
@@ -137,6 +148,11 @@ class TrainSettings(Strict):
     """Symmetries of the cube that training samples are shown in."""
     shuffle_buffer: Positive = 1024
     """Samples in the window that is shuffled; shards are shuffled whatever it is."""
+    loss: Loss = Loss.L1
+    """What a TSDF is trained by."""
+    average: Annotated[Real, Field(ge=0, lt=1)] = 0.0
+    """Share of the past that a step keeps in the running average of the weights, which is what is validated
+    and kept: 0.998 averages over some 500 steps. 0 for the weights as they are (the paper)."""
     precision: Precision = Precision.FLOAT32
     """What the convolutions compute in."""
     on_error: OnError = OnError.RAISE

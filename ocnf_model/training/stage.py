@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.loading.arguments import OnError
-from ocnf_data.loading.dataset import Batch, ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.checkpoint import (
@@ -26,18 +26,20 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
     torch_version,
 )
-from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.network import LevelOutput, OctNetFusion, Output
-from ocnf_model.training.batches import Example, make_example
+from ocnf_model.training.average import WeightAverage
+from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.choice import is_better
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
-from ocnf_model.training.settings import Precision, TrainSettings
+from ocnf_model.training.settings import Loss, Precision, TrainSettings
 from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
-LOSSES: dict[Output, Callable[..., Tensor]] = {Output.TSDF: l1_loss, Output.OCCUPANCY: bce_loss}
+LOSSES: dict[Loss | Output, Callable[..., Tensor]] = {
+    Loss.L1: l1_loss, Loss.TRUNCATED_L1: truncated_l1_loss, Output.OCCUPANCY: bce_loss}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ class Job:
     settings: TrainSettings
     network: OctNetFusion
     training: EpochDataset
-    validation: ShardDataset
+    validation: EpochDataset
     facts: TrainingData
     target: str
     world: World
@@ -84,7 +86,9 @@ class Trainer:
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
         check_step(job.folder, state, len(job.training), self._stage.accumulate,
                    exact=job.settings.on_error is OnError.RAISE)
-        restore(tensors, self._level, self._optimiser)
+        decay = job.settings.average
+        self._average = WeightAverage(self._level, decay) if decay else None
+        restore(tensors, self._level, self._optimiser, self._average)
         if state.loader is not None:
             job.training.load_state_dict(state.loader)
 
@@ -102,18 +106,22 @@ class Trainer:
             if state.step < len(self._job.training):
                 self._train(loader)
             self._save()
-            found = self._validate(validation)
-            self._finish_epoch(found, time.monotonic() - began)
+            with self._average.in_use() if self._average else nullcontext():
+                found = self._validate(validation)
+                row = self._row(found, time.monotonic() - began)
+                if row.best and self._job.world.is_main:
+                    save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
+            self._finish_epoch(row, found)
 
     # ---- training
 
-    def _train(self, loader: DataLoader[Batch]) -> None:
+    def _train(self, loader: DataLoader[AnyBatch]) -> None:
         state, n_batches = self._state, len(self._job.training)
         self._job.training.set_epoch(state.epoch)
         self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
         self._job.network.eval()  # the levels before: their normalisation stays as it was trained
         self._level.train()
-        met: list[tuple[Batch, Tensor]] = []
+        met: list[tuple[AnyBatch, Tensor]] = []
         for batch in loader:
             met.append((batch, self._backward(batch, n_batches)))
             state.step = batch.step + 1
@@ -128,12 +136,13 @@ class Trainer:
             if state.steps % self._job.settings.save_every == 0 and state.step < n_batches:
                 self._save()
 
-    def _backward(self, batch: Batch, n_batches: int) -> Tensor:
+    def _backward(self, batch: AnyBatch, n_batches: int) -> Tensor:
         """Add a batch's share to the gradients; the loss of each sample, (B,)."""
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        loss = LOSSES[self._job.network.output]
+        occupancy = self._job.network.output is Output.OCCUPANCY
+        loss = LOSSES[Output.OCCUPANCY if occupancy else self._job.settings.loss]
         if self._stage.crop is None:
             losses = loss(self._forward(example).raw, example.target, "none")
         else:
@@ -141,13 +150,14 @@ class Trainer:
         (losses.mean() / group).backward()
         return losses.detach()
 
-    def _crop_losses(self, example: Example, batch: Batch, size: int, loss: Callable[..., Tensor]) -> Tensor:
+    def _crop_losses(self, example: Example, batch: AnyBatch, size: int,
+                     loss: Callable[..., Tensor]) -> Tensor:
         corners = draw_corners(example.target.structure, size, self._job.settings.seed, batch.epoch,
                                batch.keys)
         with self._precision():
             return crop_losses(self._job.network, example, self._state.level, corners, size, loss)
 
-    def _update(self, met: list[tuple[Batch, Tensor]]) -> float:
+    def _update(self, met: list[tuple[AnyBatch, Tensor]]) -> float:
         """A step of the optimiser over some batches; their mean loss over all ranks."""
         losses = torch.cat([losses for _, losses in met]).tolist()
         keys = [key for batch, _ in met for key in batch.keys]
@@ -164,6 +174,8 @@ class Trainer:
         self._job.world.average(self._level.buffers())
         self._optimiser.zero_grad()
         self._state.steps += 1
+        if self._average is not None:
+            self._average.update(self._state.steps)
         first = [not again for batch, _ in met for again in batch.repeat]
         total, count, everything, n = self._job.world.sum([
             sum(loss for loss, counts in zip(losses, first, strict=True) if counts), sum(first),
@@ -183,7 +195,7 @@ class Trainer:
     # ---- validation
 
     @torch.no_grad()
-    def _validate(self, loader: DataLoader[Batch]) -> Validation:
+    def _validate(self, loader: DataLoader[AnyBatch]) -> Validation:
         """Means over the validation samples of all ranks."""
         job = self._job
         validator = Validator(job.network.output, job.network.encoding, job.facts.tau(self._resolution))
@@ -201,15 +213,16 @@ class Trainer:
             raise OcnfError("no validation sample could be read", code="empty", where=job.folder)
         return found
 
-    def _finish_epoch(self, found: Validation, seconds: float) -> None:
+    def _row(self, found: Validation, seconds: float) -> EpochRow:
         state = self._state
         row = EpochRow(
             level=state.level + 1, epoch=state.epoch + 1, resolution=self._resolution, steps=state.steps,
             train_loss=state.loss_sum / max(state.loss_count, 1), val_mad=found.mad, val_iou=found.iou,
             seconds=round(seconds, 3), best=False, val_f_score=found.f_score)
-        row = replace(row, best=is_better(row, state.best, self._job.settings.best_by))
-        if row.best and self._job.world.is_main:
-            save_checkpoint(self._job.folder, self._header(row), self._level.state_dict())
+        return replace(row, best=is_better(row, state.best, self._job.settings.best_by))
+
+    def _finish_epoch(self, row: EpochRow, found: Validation) -> None:
+        state = self._state
         state.rows.append(row)
         state.epoch, state.step = state.epoch + 1, 0
         state.loss_sum = state.loss_count = 0.0
@@ -236,7 +249,7 @@ class Trainer:
         assert self._job.settings.resolutions is not None  # resolved
         return self._job.settings.resolutions[self._state.level]
 
-    def _example(self, batch: Batch) -> Example:
+    def _example(self, batch: AnyBatch) -> Example:
         return make_example(batch, self._job.network.output, self._job.target, self._job.world.device)
 
     def _forward(self, example: Example) -> LevelOutput:
@@ -249,14 +262,14 @@ class Trainer:
 
     def _save(self) -> None:
         if self._job.world.is_main:
-            save_state(self._job.folder, self._state, self._level, self._optimiser)
+            save_state(self._job.folder, self._state, self._level, self._optimiser, self._average)
 
 
 def _is_finite(value: float) -> bool:
     return abs(value) < float("inf")
 
 
-def _loader(dataset: EpochDataset, job: Job) -> DataLoader[Batch]:
+def _loader(dataset: EpochDataset, job: Job) -> DataLoader[AnyBatch]:
     workers = job.settings.workers
     return DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0,
                       pin_memory=job.world.device.type == "cuda", worker_init_fn=use_one_thread)

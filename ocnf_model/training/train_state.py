@@ -1,7 +1,8 @@
 """Where a run is: everything that the rest of it depends on, in one file that is replaced whole.
 
-    RUN/state.safetensors     weights of the level in training, Adam's moments, the random state; the header
-                              holds the state (level, epoch, step), the loader's state and the curves
+    RUN/state.safetensors     weights of the level in training and their average, Adam's moments, the random
+                              state; the header holds the state (level, epoch, step), the loader's state and
+                              the curves
 
 It is written at steps of the optimiser, so there are no half accumulated gradients to keep: a run killed
 between two states does the steps after the first of them again, with the same result.
@@ -22,10 +23,11 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.validation import Int, Real, Strict, validate
 from ocnf_model.checkpoint import MAX_COUNT
 from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
+from ocnf_model.training.average import WeightAverage
 
 STATE: Final = "state.safetensors"
 _SCHEMA: Final = 1
-_WEIGHTS, _ADAM, _RANDOM = "weights.", "adam.", "random."
+_WEIGHTS, _AVERAGE, _ADAM, _RANDOM = "weights.", "average.", "adam.", "random."
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _ANEW = "put a good copy in its place, or move the run's folder away and start again"
 
@@ -121,7 +123,7 @@ class _Header(Strict):
 
 
 def save_state(folder: Path, state: TrainState, level: nn.Module | None = None,
-               optimiser: torch.optim.Optimizer | None = None) -> None:
+               optimiser: torch.optim.Optimizer | None = None, average: WeightAverage | None = None) -> None:
     """Replace the state; without a level between two levels."""
     tensors: dict[str, Tensor] = {_RANDOM + "cpu": torch.get_rng_state()}
     if level is not None and optimiser is not None:
@@ -129,6 +131,8 @@ def save_state(folder: Path, state: TrainState, level: nn.Module | None = None,
         for name, parameter in level.named_parameters():
             for moment, tensor in optimiser.state.get(parameter, {}).items():
                 tensors[f"{_ADAM}{moment}.{name}"] = tensor
+    if average is not None:
+        tensors |= {_AVERAGE + name: tensor for name, tensor in average.tensors.items()}
     write_tensors(folder / STATE, tensors, {"schema": _SCHEMA, **asdict(state)})
 
 
@@ -208,8 +212,9 @@ def check_step(folder: Path, state: TrainState, n_batches: int, accumulate: int,
                             where=folder / STATE, field=field_name, found=found, expected=expected, fix=_ANEW)
 
 
-def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.optim.Optimizer) -> None:
-    """Put weights, moments and random state back; nothing where the level has not begun.
+def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.optim.Optimizer,
+            average: WeightAverage | None = None) -> None:
+    """Put weights, their average, moments and random state back; nothing where the level has not begun.
 
     Raises:
         OcnfError: they do not fit the network.
@@ -217,8 +222,10 @@ def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.op
     weights = _below(tensors, _WEIGHTS)
     if not weights:
         return
-    _check_tensors(tensors, level)
+    _check_tensors(tensors, level, average is not None)
     level.load_state_dict(weights)
+    if average is not None:
+        average.restore(_below(tensors, _AVERAGE))
     torch.set_rng_state(tensors[_RANDOM + "cpu"])
     moments = _below(tensors, _ADAM)
     for name, parameter in level.named_parameters():
@@ -229,9 +236,10 @@ def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.op
                                           for moment, tensor in kept.items()}
 
 
-def _check_tensors(tensors: Mapping[str, Tensor], level: nn.Module) -> None:
-    """Refuse tensors other than the weights, their moments once there was a step, and the random state."""
-    expected = {_WEIGHTS + name: TensorKind.of(tensor) for name, tensor in level.state_dict().items()}
+def _check_tensors(tensors: Mapping[str, Tensor], level: nn.Module, averaged: bool) -> None:
+    """Refuse other tensors than weights, averages, moments once there was a step, and the random state."""
+    expected = {prefix + name: TensorKind.of(tensor) for name, tensor in level.state_dict().items()
+                for prefix in ((_WEIGHTS, _AVERAGE) if averaged else (_WEIGHTS,))}
     if any(name.startswith(_ADAM) for name in tensors):  # none before the first step
         for name, parameter in level.named_parameters():
             expected |= {f"{_ADAM}{moment}.{name}": TensorKind.of(parameter) for moment in _MOMENTS}

@@ -13,7 +13,7 @@ from ocnf_data.octree import GridOctree
 from ocnf_model.measures.figures import f_score
 from ocnf_model.measures.regions import Regions, mad_by_region, seen_by
 from ocnf_model.measures.surface import Surface
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
+from ocnf_model.metrics import mad_mm, occupancy_mad, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.training.batches import Example
@@ -54,8 +54,7 @@ class Validator:
 
     def __init__(self, output: Output, encoding: Encoding, tau: float) -> None:
         self._output, self._encoding = output, encoding
-        # With tau = 1 mm the difference of probabilities stays as it is.
-        self._tau = tau if output is Output.TSDF else 1e-3
+        self._tau = tau
         self._sums = torch.zeros(10, dtype=torch.float64)
         self._rows: list[tuple[GridOctree, GridOctree, GridOctree]] = []
 
@@ -71,7 +70,8 @@ class Validator:
         overlap = tsdf_overlap if is_tsdf else occupancy_overlap
         encoded = example.inputs[-1]
         seen = seen_by(encoded, self._encoding) if is_tsdf else None
-        mads = mad_mm(prediction, example.target, self._tau)
+        mads = mad_mm(prediction, example.target, self._tau) if is_tsdf \
+            else occupancy_mad(prediction, example.target)
         regions = torch.full((len(mads), 6), torch.nan, dtype=torch.float64)
         if seen is not None:
             regions = mad_by_region(prediction, example.target, seen, self._tau).cpu()
@@ -101,7 +101,7 @@ class Validator:
 
     def _signed(self, grid: GridOctree) -> GridOctree:
         """The octree with signed values in [-1, 1], negative inside."""
-        values = grid.data if self._output is Output.TSDF else 1 - 2 * grid.data
+        values = grid.data if self._output is Output.TSDF else 1 - 2 * grid.data  # unknown ones become free
         return grid.with_data(values.clip(-1, 1))
 
 

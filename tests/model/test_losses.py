@@ -13,8 +13,8 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.octree.occupied import occupied
 from ocnf_model import OctreeBatch, split_surface
 from ocnf_model.evaluation.measure import Field
-from ocnf_model.losses import bce_loss, l1_loss
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
+from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
+from ocnf_model.metrics import mad_mm, occupancy_mad, occupancy_overlap, tsdf_overlap
 from ocnf_model.octree.leafmap import leaf_means
 
 few = settings(max_examples=20, deadline=None)
@@ -47,18 +47,56 @@ def test_losses_and_gradients_equal_the_dense_ones(data, batches, make_batch, de
 
 @few
 @given(data=st.data())
+def test_beyond_the_truncation_the_right_side_costs_nothing(data, batches, make_batch, dense) -> None:
+    a, b = data.draw(pairs(batches, make_batch))
+    b = b.with_features((2 * b.features).clamp(-1, 1))
+    features = (2 * a.features).requires_grad_()
+    a = a.with_features(features)
+    p, g = dense.expand(a), dense.expand(b)
+    bounded = torch.where(g == 1, p.clamp(max=1), torch.where(g == -1, p.clamp(min=-1), p))
+    ours, theirs = truncated_l1_loss(a, b), (bounded - g).abs().mean()
+    torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(torch.autograd.grad(ours, features), torch.autograd.grad(theirs, features),
+                               rtol=1e-10, atol=1e-12)
+
+
+@few
+@given(data=st.data())
 def test_metrics_equal_the_dense_ones(data, batches, make_batch, dense) -> None:
     a, b = data.draw(pairs(batches, make_batch))
     p, g = dense.expand(a), dense.expand(b)
     clipped = (p.clamp(-1, 1) - g.clamp(-1, 1)).abs().mean(dim=(1, 2, 3, 4))
     torch.testing.assert_close(mad_mm(a, b, 0.025), 25 * clipped)
     for overlap, predicted, true in [(tsdf_overlap(a, b), p < 0, g < 0),
-                                     (occupancy_overlap(a, b), p >= 0.5, g >= 0.5)]:
+                                     (occupancy_overlap(a, b), (p >= 0.5) & (g >= 0), g >= 0.5)]:
         for found, part, whole in [(overlap.iou, predicted & true, predicted | true),
                                    (overlap.precision, predicted & true, predicted),
                                    (overlap.recall, predicted & true, true)]:
             n, m = (mask.sum(dim=(1, 2, 3, 4)).double() for mask in (part, whole))
             torch.testing.assert_close(found, torch.where(m > 0, n / m.clamp(min=1), 1.0))
+
+
+@few
+@given(data=st.data())
+def test_unknown_voxels_have_no_loss_and_are_not_measured(data, batches, make_batch, dense) -> None:
+    """A negative occupancy is unknown: the figures are those of the other voxels."""
+    a, b = data.draw(pairs(batches, make_batch))
+    unknown = b.features < -0.3
+    b = b.with_features(torch.where(unknown, -1.0, b.features.sigmoid()))
+    features = a.features.clone().requires_grad_()
+    p, g = dense.expand(a.with_features(features)), dense.expand(b)
+    losses = bce_loss(a.with_features(features), b, "none")
+    for i, (logits, truth) in enumerate(zip(p, g, strict=True)):
+        known = truth >= 0
+        theirs = binary_cross_entropy_with_logits(logits[known], truth[known]) if known.any() \
+            else logits.sum() * 0
+        torch.testing.assert_close(losses[i], theirs, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(torch.autograd.grad(losses[i], features, retain_graph=True),
+                                   torch.autograd.grad(theirs, features, retain_graph=True),
+                                   rtol=1e-10, atol=1e-12)
+        if known.any():
+            found = occupancy_mad(a, b)[i]
+            torch.testing.assert_close(found, (logits[known].detach() - truth[known]).abs().mean())
 
 
 def test_a_voxel_on_the_surface_is_free_everywhere() -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.scans.kept import is_kept, read_kept_views
-from ocnf_data.views.scans.listing import Axes, Direction, Said, ScanFormat
+from ocnf_data.views.scans.listing import Axes, Direction, Listing, Said, ScanFormat
 from ocnf_data.views.scans.load import load
 from ocnf_data.views.scans.redwood import OPEN3D
 from ocnf_data.views.scans.scan import Colour, Scan
@@ -28,7 +28,7 @@ from ocnf_data.views.scans.transforms import TRANSFORMS
 from ocnf_data.views.scans.tum import TUM
 from ocnf_data.views.scans.voxlets import VOXLETS
 
-__all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "read_scan"]
+__all__ = ["SCAN_FORMATS", "Axes", "Colour", "Direction", "Scan", "list_scan", "read_scan"]
 
 SCAN_FORMATS: dict[str, ScanFormat] = {
     one.name: one for one in (SEVEN_SCENES, TUM, OPEN3D, TRANSFORMS, SCANNET, VOXLETS)}
@@ -62,10 +62,26 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
     text = os.fspath(place)
     if format is None and is_kept(text):
         return read_kept_views(text, frames, every)
-    if not Path(text).exists():
-        raise OcnfError("no such scan", code="missing", where=text)
-    chosen = _pick(Path(text), format)
-    return load(chosen.read(Path(text)), text, chosen.name, frames, every, said, report)
+    listing, name = list_scan(text, format)
+    return load(listing, text, name, frames, every, said, report)
+
+
+def list_scan(folder: str | os.PathLike[str], format: str | None = None) -> tuple[Listing, str]:
+    """What a folder says of its frames, before any image is decoded; and the name of its format.
+
+    Args:
+        folder: a folder of any format in SCAN_FORMATS.
+        format: one of SCAN_FORMATS; None: the one that the folder's names fit.
+
+    Raises:
+        OcnfError: nothing there (`missing`), no known format or several, a file of poses or intrinsics that
+            cannot be read, with its name.
+    """
+    path = Path(folder)
+    if not path.exists():
+        raise OcnfError("no such scan", code="missing", where=os.fspath(folder))
+    chosen = _pick(path, format)
+    return chosen.read(path), chosen.name
 
 
 def _pick(folder: Path, name: str | None) -> ScanFormat:

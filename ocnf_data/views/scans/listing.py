@@ -23,7 +23,9 @@ class Direction(StrEnum):
     """What a pose matrix does with a point."""
 
     CAMERA_TO_WORLD = "camera-to-world"
+    """The matrix takes points from the camera's coordinates to the world's."""
     WORLD_TO_CAMERA = "world-to-camera"
+    """The matrix takes points from the world's coordinates to the camera's."""
 
 
 class Axes(StrEnum):

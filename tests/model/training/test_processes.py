@@ -25,7 +25,7 @@ import ocnf_model.training.stage as stage
 from ocnf_model.cli import main
 
 left = int(sys.argv.pop(1))
-l1_loss = stage.LOSSES["tsdf"]
+l1_loss = stage.LOSSES["l1"]
 
 def counted(*arguments):
     global left
@@ -34,7 +34,7 @@ def counted(*arguments):
         os.kill(os.getpid(), signal.SIGKILL)
     return l1_loss(*arguments)
 
-stage.LOSSES["tsdf"] = counted
+stage.LOSSES["l1"] = counted
 main()
 """
 

@@ -166,7 +166,7 @@ def test_a_device_that_is_not_there(tiny, small, out) -> None:
 @pytest.mark.parametrize("where", ["loss", "gradient"])
 def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, small, out, monkeypatch) -> None:
     calls = []
-    l1_loss = stage_module.LOSSES["tsdf"]
+    l1_loss = stage_module.LOSSES["l1"]
 
     def poisoned(*arguments):
         losses = l1_loss(*arguments)
@@ -176,7 +176,7 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
             losses = losses + poison if where == "loss" else losses * (losses * 0).sqrt()
         return losses
 
-    monkeypatch.setitem(stage_module.LOSSES, "tsdf", poisoned)
+    monkeypatch.setitem(stage_module.LOSSES, "l1", poisoned)
     settings = small(levels=1, stages=[stage(epochs=3, accumulate=1)], save_every=1)
     keys = next(batch.keys for batch in _epoch(tiny, 2))
     with pytest.raises(OcnfError, match=f"the {where} is not finite") as error:

@@ -1,0 +1,78 @@
+"""Ground truth and inputs out of views: what samples of meshes and of scans have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ocnf_data.arrays import F32
+from ocnf_data.encodings import Encoding
+from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
+from ocnf_data.manifest import Manifest, Target, Variant
+from ocnf_data.octree import GridOctree
+from ocnf_data.octree.occupied import occupied
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.noise import add_noise, view_noise
+from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
+
+
+def fuse_truth(manifest: Manifest, pyramid: DepthPyramid, resolution: int) -> GridOctree:
+    """The ground truth, out of all views of the rig without noise."""
+    return as_target(manifest, fuse_tsdf(pyramid, resolution, manifest.normalise.extent,
+                                         manifest.truncation(resolution)))
+
+
+def as_target(manifest: Manifest, tsdf: GridOctree) -> GridOctree:
+    """What the manifest's `target` takes of a TSDF."""
+    return occupied(tsdf) if manifest.target is Target.OCCUPANCY else tsdf
+
+
+def fuse_input(manifest: Manifest, pyramid: DepthPyramid, encoding: Encoding, resolution: int) -> GridOctree:
+    """An input, out of the views that it sees."""
+    return fuse(pyramid, encoding, resolution, manifest.normalise.extent, manifest.truncation(resolution))
+
+
+def observe(seen: Views, indices: Sequence[int], variant: Variant, noise: Noise) -> Views:
+    """The noisy views that an input is made of.
+
+    Args:
+        seen: the views without noise.
+        indices: number of each of them among all views of the item, on which its noise depends.
+        variant: the input.
+        noise: noise of the item.
+    """
+    if variant.noise == "kinect":
+        return seen.with_depth(np.stack([
+            add_sensor_noise(depth, K, noise.sensor(view), variant.strength, variant.metres)
+            for view, depth, K in zip(indices, seen.depth, seen.K, strict=True)]))
+    if variant.sigma == 0:
+        return seen
+    return seen.with_depth(np.stack([add_noise(depth, variant.sigma, noise(view))
+                                     for view, depth in zip(indices, seen.depth, strict=True)]))
+
+
+class Noise:
+    """Noise of each view of one item, drawn once for all variants."""
+
+    def __init__(self, seed: int, key: str, size: tuple[int, int]) -> None:
+        self._seed, self._key, self._size = seed, key, size
+        self._drawn: dict[int, F32] = {}
+
+    def sensor(self, view: int) -> SensorDraws:
+        """The draws of `views.sensor`: six numbers a pixel, drawn again rather than held."""
+        return sensor_draws(self._seed, self._key, view, self._size)
+
+    def __call__(self, view: int) -> F32:
+        """The standard normal noise (H, W) of Park's model."""
+        if view not in self._drawn:
+            self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
+        return self._drawn[view]
+
+
+def noise_facts(variant: Variant) -> dict[str, Any]:
+    """What a sample's facts say of an input's noise."""
+    if variant.noise == "park":
+        return {"sigma": variant.sigma}
+    return {"noise": variant.noise, "strength": variant.strength, "metres": variant.metres}
