@@ -40,7 +40,7 @@ def make_tables(
     epochs: Sequence[int] | None = None, hours: float | None = None, categories: Sequence[str] | None = None,
     stand_ins: Mapping[str, str] | None = None, weight_models: int = 5, device: str = "auto", jobs: int = 1,
     scans: str | Path | None = None, voxlets: str | Path | None = None, dry_run: bool = False,
-    console: Console | None = None,
+    up: str = "z", console: Console | None = None,
 ) -> TablePlan:
     """Make a table of the paper, or all, in a folder; what is there already is used.
 
@@ -61,6 +61,7 @@ def make_tables(
         jobs: worker processes of generation.
         scans: folder of scans, for the table of the Kinect; its `meshes` are sets of frames.
         voxlets: folder of the Voxlets data, for the table of completion; of the budget only `epochs` counts.
+        up: which axis of the meshes points up in figures: y or z.
         dry_run: measure and print the plan, and do none of it.
         console: where the plan, the progress and the tables' paths are printed.
 
@@ -77,6 +78,8 @@ def make_tables(
     if epochs is not None and hours is not None:
         raise OcnfError("epochs and hours are two budgets for the same thing", field="--hours",
                         found=f"{hours:g} and --epochs", fix="give one of them")
+    if up not in ("y", "z"):
+        raise OcnfError("not an axis that can point up", field="--up", found=up, expected="y or z")
     by_root: dict[Path, list[TableSpec]] = {}
     for table in tables:
         if table.pipeline is Pipeline.COMPLETION:
@@ -95,7 +98,7 @@ def make_tables(
             store.put_bytes(MARK, canonical_json({"schema": 1, "kind": "tables"}))
         groups: list[TableGroup] = [
             SampleGroup(by_root[place], place, out, budget, device, jobs, console, hours=hours,
-                        measure=dry_run) for place, budget in budgets.items()]
+                        measure=dry_run, up=up) for place, budget in budgets.items()]
         groups += [CompletionGroup(table, Path(voxlets), out, epochs, device, console)
                    for table in tables if table.pipeline is Pipeline.COMPLETION and voxlets is not None]
         plan = TablePlan([step for group in groups for step in group.steps],
