@@ -113,7 +113,8 @@ ARROWS = {
     "ocnf_model.tables":
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
         "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.verify ocnf_data.views "
-        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.training",
+        "ocnf_model.checkpoint ocnf_model.completion ocnf_model.devices ocnf_model.evaluation "
+        "ocnf_model.training",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "

@@ -46,6 +46,9 @@ def tables_command(
     jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Worker processes of generation.")] = 1,
     scans: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Folder of scans, for the table kinect: depth frames with poses.")] = None,
+    voxlets: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="Folder of the Voxlets data, for the table completion.")] = None,
+    up: Annotated[str, typer.Option(help="The meshes' axis that points up in the figures: y or z.")] = "z",
     dry_run: Annotated[bool, typer.Option(
         "--dry-run", help="Print the steps with their time and disk, measured on a few meshes, and do none.",
     )] = False,
@@ -70,7 +73,8 @@ def tables_command(
         settings=merge_options(settings, {"levels": levels}, {}), resolutions=grids,
         epochs=None if epochs is None else [int(one) for one in parse_list("epochs", epochs)], hours=hours,
         categories=None if categories is None else categories.split(","), stand_ins=stand_ins,
-        weight_models=weight_models, device=device, jobs=jobs, scans=scans, dry_run=dry_run,
+        weight_models=weight_models, device=device, jobs=jobs, scans=scans,
+        voxlets=voxlets, up=up, dry_run=dry_run,
         console=_err)
     if not dry_run:
         for step in plan.left:

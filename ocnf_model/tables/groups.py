@@ -56,10 +56,12 @@ class SampleGroup:
         console: where progress is shown.
         hours: training time of each network, in the place of the budget's epochs.
         measure: measure rates where there are none yet.
+        up: which axis of the meshes points up in figures: y or z.
     """
 
     def __init__(self, tables: Sequence[TableSpec], root: Path, out: Path, budget: Budget, device: str,
-                 jobs: int, console: Console, *, hours: float | None = None, measure: bool = False) -> None:
+                 jobs: int, console: Console, *, hours: float | None = None, measure: bool = False,
+                 up: str = "z") -> None:
         views = max(spec.views for table in tables for spec in table.inputs.values())
         listed(budget, root, views)  # a scan with too few frames is refused before anything is made
         self._root, self._device = root, device
@@ -74,7 +76,7 @@ class SampleGroup:
             budget = budget.with_epochs(epochs_within(hours, seconds, rates.train_fixed, paper))
             layout = _layout(out, budget, root)
         self._layout = layout
-        self._executor = Executor(layout, root, device, jobs, console)
+        self._executor = Executor(layout, root, device, jobs, console, up=up)
         self.steps: Sequence[Step] = plan_steps(tables, layout)
         self.left: Sequence[Step] = [step for step in self.steps if not layout.is_done(step)]
         estimator = None if rates is None else Estimator(rates, layout, root, jobs)

@@ -29,8 +29,8 @@ class TablePlan:
         found = []
         for step in self.left:
             estimate = self.estimates.get(step.name)
-            found.append(step.name if estimate is None else
-                         f"{step.name}: {duration(estimate.seconds)}, {megabytes(estimate.size)}")
+            found.append(step.name if not self.estimates else f"{step.name}: not measured" if estimate is None
+                         else f"{step.name}: {duration(estimate.seconds)}, {megabytes(estimate.size)}")
         done = len(self.steps) - len(self.left)
         seconds = sum(one.seconds for one in self.estimates.values())
         size = sum(one.size for one in self.estimates.values())

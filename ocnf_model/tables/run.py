@@ -16,6 +16,7 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_model.tables.budget import make_budget
+from ocnf_model.tables.completion import CompletionGroup
 from ocnf_model.tables.groups import SampleGroup, TableGroup, folder_size
 from ocnf_model.tables.plan import TablePlan, megabytes
 from ocnf_model.tables.schema import TABLE_NAMES, Pipeline, TableSpec, load_table
@@ -29,6 +30,8 @@ LOG = "steps.jsonl"
 """What was done: a line a step, with the time and size that were planned and those that it took."""
 _FULL = 1.5  # an estimate may be off by this factor
 _FILES = (StepKind.WRITE, StepKind.CHOOSE_WEIGHT, StepKind.TIME, StepKind.DRAW)  # others make folders
+_NEEDS = {Pipeline.SCANS: "it needs scans: give their folder with --scans DIR",
+          Pipeline.COMPLETION: "it needs the Voxlets data: give its folder with --voxlets DIR"}
 
 
 def make_tables(
@@ -36,7 +39,8 @@ def make_tables(
     settings: TrainSettings | None = None, resolutions: Sequence[int] | None = None,
     epochs: Sequence[int] | None = None, hours: float | None = None, categories: Sequence[str] | None = None,
     stand_ins: Mapping[str, str] | None = None, weight_models: int = 5, device: str = "auto", jobs: int = 1,
-    scans: str | Path | None = None, dry_run: bool = False, console: Console | None = None,
+    scans: str | Path | None = None, voxlets: str | Path | None = None, dry_run: bool = False,
+    up: str = "z", console: Console | None = None,
 ) -> TablePlan:
     """Make a table of the paper, or all, in a folder; what is there already is used.
 
@@ -56,6 +60,8 @@ def make_tables(
         device: where networks are trained and run: auto, cpu, cuda, ...
         jobs: worker processes of generation.
         scans: folder of scans, for the table of the Kinect; its `meshes` are sets of frames.
+        voxlets: folder of the Voxlets data, for the table of completion; of the budget only `epochs` counts.
+        up: which axis of the meshes points up in figures: y or z.
         dry_run: measure and print the plan, and do none of it.
         console: where the plan, the progress and the tables' paths are printed.
 
@@ -68,12 +74,16 @@ def make_tables(
     """
     console = console or Console(stderr=True, emoji=False)
     out = Path(out)
-    tables, notes = _wanted(name, scans is not None)
+    tables, notes = _wanted(name, {Pipeline.SCANS: scans, Pipeline.COMPLETION: voxlets})
     if epochs is not None and hours is not None:
         raise OcnfError("epochs and hours are two budgets for the same thing", field="--hours",
                         found=f"{hours:g} and --epochs", fix="give one of them")
+    if up not in ("y", "z"):
+        raise OcnfError("not an axis that can point up", field="--up", found=up, expected="y or z")
     by_root: dict[Path, list[TableSpec]] = {}
     for table in tables:
+        if table.pipeline is Pipeline.COMPLETION:
+            continue
         place = scans if table.pipeline is Pipeline.SCANS and scans is not None else root
         by_root.setdefault(Path(place), []).append(table)
     budgets = {place: make_budget(
@@ -88,7 +98,9 @@ def make_tables(
             store.put_bytes(MARK, canonical_json({"schema": 1, "kind": "tables"}))
         groups: list[TableGroup] = [
             SampleGroup(by_root[place], place, out, budget, device, jobs, console, hours=hours,
-                        measure=dry_run) for place, budget in budgets.items()]
+                        measure=dry_run, up=up) for place, budget in budgets.items()]
+        groups += [CompletionGroup(table, Path(voxlets), out, epochs, device, console)
+                   for table in tables if table.pipeline is Pipeline.COMPLETION and voxlets is not None]
         plan = TablePlan([step for group in groups for step in group.steps],
                          [step for group in groups for step in group.left],
                          {name: one for group in groups for name, one in group.estimates.items()}, notes)
@@ -104,16 +116,19 @@ def make_tables(
     return plan
 
 
-def _wanted(name: str, has_scans: bool) -> tuple[list[TableSpec], list[str]]:
-    """The tables of a name, and a sentence for each that cannot be made."""
+def _wanted(name: str, given: Mapping[Pipeline, object]) -> tuple[list[TableSpec], list[str]]:
+    """The tables of a name, and a sentence for each that cannot be made.
+
+    Args:
+        name: of a table, or `all`.
+        given: the folders that some pipelines need, or None.
+    """
     tables = [load_table(one) for one in (TABLE_NAMES if name == "all" else [name])]
-    reasons = {table.name: table.unavailable or "it needs scans: give their folder with --scans DIR"
-               for table in tables
-               if table.unavailable or (table.pipeline is Pipeline.SCANS and not has_scans)}
+    reasons = {table.name: _NEEDS[table.pipeline] for table in tables
+               if table.pipeline in given and given[table.pipeline] is None}
     if reasons and name != "all":
-        made = ", ".join(one for one in TABLE_NAMES if load_table(one).unavailable is None)
         raise OcnfError(f"the table cannot be made: {reasons[name]}", code="missing", field="NAME",
-                        found=name, expected=made)
+                        found=name)
     return ([table for table in tables if table.name not in reasons],
             [f"the table {table} is not made: {reason}" for table, reason in reasons.items()])
 

@@ -102,6 +102,10 @@ class Line(Strict):
     """The level of the resolution, from 1: the paper's 64^3, 128^3, 256^3. None for the finest."""
     category: str | None = None
     """The category of the models; None for all."""
+    completion: str | None = None
+    """A row's method of completion, by the name that `ocnf-model complete evaluate` gives it."""
+    score: Literal["iou", "precision", "recall"] | None = None
+    """The score of completion that a column has."""
 
     @property
     def name(self) -> str:
@@ -156,8 +160,6 @@ class TableSpec(Strict):
     """The paper's data and training, in a sentence."""
     remarks: tuple[str, ...] = ()
     """What is always different here, a sentence each."""
-    unavailable: str | None = None
-    """What is missing for the table to be made, as a clause; None where nothing is."""
     figures: tuple[str, ...] = ()
     """Categories of which the first test model is drawn, by the paper's names."""
     inputs: Mapping[str, InputSpec] = Field(default_factory=dict)

@@ -108,14 +108,14 @@ class Layout:
     def data(self, variant: str, spec: InputSpec) -> str:
         """Name of the folder of an input's data set."""
         manifest = self.budget.manifest(variant, self.input(variant, spec))
-        return f"{variant}-{_key([manifest.to_dict(), self._meshes])}"
+        return f"{variant}-{short_key([manifest.to_dict(), self._meshes])}"
 
     def run(self, network: NetworkSpec, spec: InputSpec) -> str:
         """Name of the folder of a network's run."""
         settings, usual = self.budget.network_settings(network).decisive(), TrainSettings().decisive()
         # Those that are as usual do not count: a version with more settings finds the runs of this one.
         own = {name: value for name, value in settings.items() if usual.get(name) != value}
-        return f"{network.name}-{_key([own, self.data(network.input, spec)])}"
+        return f"{network.name}-{short_key([own, self.data(network.input, spec)])}"
 
     def is_done(self, step: Step) -> bool:
         """Whether what a step makes is there, whole."""
@@ -183,5 +183,6 @@ def _steps(table: TableSpec, layout: Layout) -> Iterator[Step]:
     yield Step(StepKind.WRITE, table.name, f"tables/{table.name}.md", table=table)
 
 
-def _key(content: object) -> str:
+def short_key(content: object) -> str:
+    """A checksum of JSON values, short enough for a folder's name."""
     return sha256_hex(canonical_json(content))[:_KEY]

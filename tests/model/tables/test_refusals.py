@@ -28,7 +28,8 @@ Make = Callable[..., TablePlan]
     ("views", {"epochs": [1], "hours": 1.0}, "--hours: epochs and hours are two budgets"),
     ("views", {"resolutions": [32, 64]}, "the levels do not fit the resolutions; found 1, expected 2, for"),
     ("kinect", {}, "the table cannot be made: it needs scans: give their folder with --scans DIR"),
-    ("completion", {}, "the table cannot be made: "),
+    ("completion", {}, "the table cannot be made: it needs the Voxlets data: .* --voxlets DIR"),
+    ("views", {"up": "x"}, "--up: not an axis that can point up; found x, expected y or z"),
     ("tabel", {}, "no such table; found tabel"),
 ])
 def test_what_cannot_be_made_is_refused_before_anything_is_written(

@@ -16,7 +16,9 @@ ALL = {name: load_table(name) for name in TABLE_NAMES}
 
 @pytest.mark.parametrize("table", ALL.values(), ids=ALL)
 def test_every_cell_of_a_table_that_can_be_made_says_what_it_is(table: TableSpec) -> None:
-    if table.unavailable is not None:
+    if table.pipeline == "completion":
+        assert all(column.score for column in table.columns)
+        assert sum(row.completion is None for row in table.rows) == 1  # what the authors could not repeat
         return
     used = set()
     for row in table.rows:
