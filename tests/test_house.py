@@ -108,8 +108,9 @@ ARROWS = {
     "ocnf_model.ops": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree ocnf_model.octree",
     "ocnf_model.scan":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
-        "ocnf_data.octree ocnf_data.render ocnf_data.views ocnf_model.baselines ocnf_model.checkpoint "
-        "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
+        "ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.views ocnf_model.baselines "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.network "
+        "ocnf_model.octree",
     "ocnf_model.tables":
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
         "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.verify ocnf_data.views "
@@ -174,6 +175,7 @@ BORROWED = """
     ocnf_data.report.page
     ocnf_data.report.sample
     ocnf_data.scenes
+    ocnf_data.sequences.cube
     ocnf_data.shards
     ocnf_data.shards.browse
     ocnf_data.shards.catalogue

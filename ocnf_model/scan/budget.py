@@ -7,8 +7,9 @@ import os
 import numpy as np
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.sequences.cube import measured_points
 from ocnf_data.views.cameras import Views
-from ocnf_model.scan.region import Region, measured_points
+from ocnf_model.scan.region import Region
 
 _CELLS = 64  # along the region's longest axis, of the estimate of its surface
 _BYTES_A_SURFACE_VOXEL = 1200
