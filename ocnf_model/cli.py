@@ -19,6 +19,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.terminal import run_app, show_version, stoppable
 from ocnf_model.completion.commands import complete_app
 from ocnf_model.evaluation.methods import Method
+from ocnf_model.tables.command import tables_command
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
@@ -192,6 +193,10 @@ def choose_weight_command(
     run_choose_weight(data, out=out, resolutions=resolution, n_models=models, split=split, weights=grid,
                       console=_out)
     _out.print(f"The weights are in {escape(str(out))}", highlight=False, soft_wrap=True)
+
+
+app.command("tables")(stoppable(
+    _err, "what is finished is kept, and the same command goes on")(tables_command))
 
 
 class _OneBox(TyperCommand):

@@ -27,6 +27,20 @@ def mad_mm(prediction: OctreeBatch, truth: OctreeBatch, tau: float) -> Tensor:
     return pair.sum_over_voxels(costs).mean(1) / (depth * height * width) * (1000 * tau)
 
 
+@torch.no_grad()
+def known_mad_mm(prediction: OctreeBatch, truth: OctreeBatch, tau: float) -> Tensor:
+    """(B,) float64: `mad_mm` over the voxels that the truth knows alone; NaN where it knows none.
+
+    Those are all but the ones that are exactly -tau: inside of things, or, of a scan, unknown, because no
+    frame has looked there. What stands there is no mistake that a truth without knowledge could show.
+    """
+    pair = Pair.of(prediction, truth)
+    target = pair.target.clamp(-1, 1)
+    known = (target > -1).double()
+    costs = (pair.prediction.clamp(-1, 1).double() - target.double()).abs() * known
+    return pair.sum_over_voxels(costs).sum(1) / pair.sum_over_voxels(known).sum(1) * (1000 * tau)
+
+
 def grid_mad_mm(prediction: GridOctree, truth: GridOctree, tau: float) -> float:
     """`mad_mm` of one octree against another."""
     return mad_mm(OctreeBatch.from_grids([prediction]), OctreeBatch.from_grids([truth]), tau).item()

@@ -20,8 +20,16 @@ ROOT = Path(__file__).parent.parent
                     "read_depth(Path('a.png'))"),
     ("skimage", "fuse", "from ocnf_data import GridOctree, octree_surface; "
                         "octree_surface(GridOctree.from_dense(np.full((1, 8, 8, 8), -1, np.float32)))"),
+    ("fast_simplification", "fuse", "from ocnf_model.scan.run import Asked, Path, run_fuse; "
+                                    "run_fuse('SCAN', Asked(Path('a.ply'), faces=9))"),
+    ("matplotlib", "fuse", "from ocnf_model.scan.run import Asked, Path, run_fuse; "
+                           "run_fuse('SCAN', Asked(None, preview=Path('a.png')))"),
     ("h5py", "fuse", "from ocnf_data import read_scan; read_scan('views.h5::key')"),
     ("matplotlib", "generate", "from ocnf_data.inspection.stats import draw; draw({'coverage': {}}, None)"),
+    ("fast_simplification", "generate", "from ocnf_data.report.geometry import Triangles, simplify; "
+                                        "simplify(Triangles(np.zeros((3, 3)), np.zeros((9, 3), int)), 1)"),
+    ("rerun", "rerun", "from pathlib import Path; from ocnf_data.report.recording import Recording; "
+                       "Recording(Path('a.rrd'), None, 'z')"),
     ("joblib", "generate", "from ocnf_data import generate, load_manifest; "
                            "generate(load_manifest('demo.yaml'), 'OUT', jobs=2)"),
     ("sklearn", "completion", "from ocnf_model.completion.forest import StructuredForest; "
@@ -47,7 +55,9 @@ def test_the_last_line_can_be_pasted(tmp_path: Path, library: str, extra: str, c
 def _distributions(extras: tuple[str, ...]) -> set[str]:
     """What the core and some extras declare, by the names that are imported."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    modules = {"opencv-python-headless": "cv2", "scikit-image": "skimage", "scikit-learn": "sklearn"}
+    modules = {"opencv-python-headless": "cv2", "scikit-image": "skimage",
+               "fast-simplification": "fast_simplification", "rerun-sdk": "rerun",
+               "scikit-learn": "sklearn"}
     declared = [*project["dependencies"],
                 *(line for extra in extras for line in project["optional-dependencies"][extra])]
     names = {line.split(">")[0].split("=")[0].split("[")[0] for line in declared}

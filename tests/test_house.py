@@ -84,7 +84,7 @@ ARROWS = {
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
         "ocnf_data.errors ocnf_data.terminal ocnf_model.completion ocnf_model.evaluation "
-        "ocnf_model.info ocnf_model.scan ocnf_model.training",
+        "ocnf_model.info ocnf_model.scan ocnf_model.tables ocnf_model.training",
     "ocnf_model.completion":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.loading ocnf_data.octree ocnf_data.render ocnf_data.scenes ocnf_data.terminal "
@@ -108,8 +108,14 @@ ARROWS = {
     "ocnf_model.ops": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree ocnf_model.octree",
     "ocnf_model.scan":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
-        "ocnf_data.octree ocnf_data.render ocnf_data.views ocnf_model.baselines ocnf_model.checkpoint "
-        "ocnf_model.devices ocnf_model.evaluation ocnf_model.network ocnf_model.octree",
+        "ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.views ocnf_model.baselines "
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.network "
+        "ocnf_model.octree",
+    "ocnf_model.tables":
+        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.verify ocnf_data.views "
+        "ocnf_model.checkpoint ocnf_model.completion ocnf_model.devices ocnf_model.evaluation "
+        "ocnf_model.training",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
@@ -126,7 +132,7 @@ FLOORS = (
     (),
     ("ocnf_data.generation", "ocnf_data.report", "ocnf_data.synthesis", "ocnf_model.training",
      "ocnf_model.completion", "ocnf_model.evaluation", "ocnf_model.scan"),
-    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info"),
+    ("ocnf_data.doctor", "ocnf_data.inspection", "ocnf_model.info", "ocnf_model.tables"),
     ("ocnf_data.cli", "ocnf_model.cli"),
     ("ocnf_data.__main__", "ocnf_data", "ocnf_model"),
 )
@@ -154,6 +160,7 @@ BORROWED = """
     ocnf_data.loading.mixture
     ocnf_data.loading.order
     ocnf_data.manifest
+    ocnf_data.manifest.schema
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits
@@ -168,14 +175,17 @@ BORROWED = """
     ocnf_data.report.page
     ocnf_data.report.sample
     ocnf_data.scenes
+    ocnf_data.sequences.cube
     ocnf_data.shards
     ocnf_data.shards.browse
     ocnf_data.shards.catalogue
     ocnf_data.shards.dataset
     ocnf_data.shards.reader
+    ocnf_data.shards.tarformat
     ocnf_data.synthesis.dataset
     ocnf_data.synthesis.sources
     ocnf_data.terminal
+    ocnf_data.verify.summary
     ocnf_data.views.cameras
     ocnf_data.views.rigs
     ocnf_data.views.scans

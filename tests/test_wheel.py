@@ -60,6 +60,9 @@ def test_the_wheel_has_the_manifests_and_the_weights(wheel: Path) -> None:
         names = set(file.namelist())
     assert names >= {f"ocnf_data/manifests/{name}" for name in SHIPPED} and len(SHIPPED) > 5
     assert names >= {f"ocnf_model/pretrained/level-{level}.safetensors" for level in (1, 2, 3)}
+    assets = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ocnf_data/report/assets").iterdir()}
+    assert assets <= names and {"ocnf_data/report/assets/three.min.js",
+                                "ocnf_data/report/assets/three-LICENSE.txt"} <= assets
     modules = {path.relative_to(ROOT).as_posix() for package in ("ocnf_data", "ocnf_model")
                for path in (ROOT / package).rglob("*.py")}
     assert modules <= names

@@ -19,6 +19,7 @@ from ocnf_data.inspection.choose import pick
 from ocnf_data.inspection.show import draw_sample
 from ocnf_data.inspection.stats import collect, draw, print_table
 from ocnf_data.manifest import Manifest, load_manifest
+from ocnf_data.report.run import write_report
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.terminal import print_error
 from ocnf_data.verify.problems import print_verify
@@ -52,6 +53,7 @@ def main(
     """Generate the demo data set, verify it, draw pictures, and reconstruct it with the shipped network."""
     console = Console()
     begin = time.perf_counter()
+    pages: list[Path] = []
 
     def step(title: str) -> None:
         console.print(f"\n[bold]{title}[/]")
@@ -82,18 +84,24 @@ def main(
                 console.print(f"   {path}")
         pictures = out / "pictures" / "reconstructions"
         step(f"6. The shipped network beside its baselines, on {N_RECONSTRUCTED} models: ocnf-model evaluate "
-             f"pretrained {data} --out {pictures}")
+             f"pretrained {data} --out {pictures} --html {out / 'reconstructions.html'}")
         if "test" not in load_dataset(str(data)).splits:
             console.print("   chance put none of the meshes into the test split")
         else:
             run_evaluate(PRETRAINED, str(data), out=pictures, limit=N_RECONSTRUCTED, n_figures=2, up=up,
-                         console=console)
+                         console=console, html=out / "reconstructions.html")
+            pages.append(out / "reconstructions.html")
+        step(f"7. A page to look at: ocnf-data report {data} --out {out / 'report.html'}")
+        write_report(str(data), out / "report.html", meshes=meshes, up=up, jobs=jobs)
+        pages.append(out / "report.html")
     except OcnfError as error:
         print_error(str(error), Console(stderr=True))
         raise typer.Exit(1) from None
     console.print(f"\n[green]Done in {time.perf_counter() - begin:.0f} s.[/] Look at {out / 'pictures'}; "
                   f"check the physics with: ocnf-data check {data}"
                   + (f" --meshes {meshes}" if meshes else ""))
+    console.print("Open in a browser:", *(page.resolve().as_uri() for page in pages), sep="\n   ",
+                  highlight=False, markup=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
 from ocnf_data.generation.records import Failure
 from ocnf_data.generation.resume import adopt
+from ocnf_data.generation.sequences import scan_notes
 from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
 from ocnf_data.generation.worker import supervisor
 from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup
@@ -104,6 +105,8 @@ def generate(
                                lambda: make_plan(manifest.by_chance_alone(), root, splits))
         for note in split_notes(plan, manifest, splits):
             console.print(f"note: {note}", highlight=False, markup=False)
+        if isinstance(manifest.source, SequenceSource) and root is not None:
+            warnings += scan_notes(manifest.source, root)
         if views is not None:
             warnings += _compare_views(views, plan, manifest)
         for warning in warnings:

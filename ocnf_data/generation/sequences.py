@@ -14,6 +14,7 @@ sample's facts as `observed`.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ from ocnf_data.views.scans import Scan
 from ocnf_data.views.store import KeptViews, ViewStore
 
 _KNOWN_REFERENCES = 4
+_FRAMES_TO_JUDGE = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +104,9 @@ def _make(manifest: Manifest, source: SequenceSource, item: Item, root: Path, ke
         views = placed(sequence.read(indices).views, reference.normalisation)
     if keep is not None:
         with stages("keep views"):
-            keep.keep(item.key, KeptViews(views, item.sha256 or "", view_fingerprint(manifest),
-                                          reference.normalisation, manifest.normalise.extent))
+            keep.keep(item.key, KeptViews(views, item.sha256 or sequence.checksum(),
+                                          view_fingerprint(manifest), reference.normalisation,
+                                          manifest.normalise.extent))
     members, leaf_counts = dict(reference.members), dict(reference.leaf_counts)
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
@@ -167,7 +170,8 @@ def _make_reference(manifest: Manifest, source: SequenceSource, path: str, seque
         scan = sequence.read()
     with stages("normalise"):
         normalisation, box = _place(manifest, source, path, scan)
-        views = placed(scan.views, normalisation)
+        views, warnings = placed(scan.views, normalisation), scan.warnings
+        del scan  # of 1,000 frames more than a gigabyte
     if not looks_into(views, manifest.normalise.extent):
         raise OcnfError("no frame has measured anything in the region", code="invisible", where=path,
                         field="source.region", found=" ".join(f"{x:.4g}" for x in box),
@@ -185,12 +189,12 @@ def _make_reference(manifest: Manifest, source: SequenceSource, path: str, seque
             members[name] = encode(truth, "target")
         leaf_counts[name] = truth.n_leaves
     facts = {
-        "scan": {"path": path, "format": scan.format, "frames": len(sequence), "box": list(box),
-                 "warnings": list(scan.warnings)},
+        "scan": {"path": path, "format": sequence.format, "frames": len(sequence), "box": list(box),
+                 "warnings": list(warnings)},
         "normalisation": {"centre": normalisation.centre.tolist(), "scale": normalisation.scale,
                           "extent": manifest.normalise.extent},
-        "camera": {"views": len(sequence), "K": scan.views.K[0].tolist(), "size": list(scan.views.size)},
-        "coverage": float((scan.views.depth > 0).mean()),
+        "camera": {"views": len(sequence), "K": views.K[0].tolist(), "size": list(views.size)},
+        "coverage": float((views.depth > 0).mean()),
         "observed": observed,
     }
     return SequenceReference(normalisation, members, leaf_counts, facts)
@@ -226,6 +230,25 @@ def _item_facts(manifest: Manifest, item: Item) -> dict[str, Any]:
 
 def _below(text: str | None, root: Path) -> str | None:
     return None if text is None else text.replace(f"{root}{os.sep}", "")
+
+
+def scan_notes(source: SequenceSource, root: Path) -> list[str]:
+    """What is to be known of each scan before anything is made of it, a sentence each.
+
+    That is which frames are left out, and what looks wrong with the poses, by a few neighbouring frames. A
+    scan that cannot be read says nothing here: its items will fail, and say why.
+    """
+    found = []
+    for scan in source.listed(root):
+        with suppress(OcnfError):
+            sequence = source.open(root, scan.path)
+            if notes := sequence.listing.notes:
+                more = f" (and {len(notes) - 1} more)" if len(notes) > 1 else ""
+                found.append(f"{scan.path}: {notes[0]}{more}")
+            start = max(0, (len(sequence) - _FRAMES_TO_JUDGE) // 2)
+            some = range(start, min(start + _FRAMES_TO_JUDGE, len(sequence)))
+            found += [f"{scan.path}: {warning}" for warning in sequence.read(some).warnings]
+    return found
 
 
 def placed_frames(source: SequenceSource, item: Item, root: Path, normalisation: Normalisation) -> Views:

@@ -14,8 +14,8 @@ from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, refused
 from ocnf_data.manifest.entries import SPLITS, Entry, given
 from ocnf_data.meshes.listing import is_hidden
+from ocnf_data.sequences import Box
 from ocnf_data.sequences.configurations import Deal, split_in_time
-from ocnf_data.sequences.cube import Box
 from ocnf_data.sequences.frames import FrameSequence
 from ocnf_data.views.scans import SCAN_FORMATS, Direction
 from ocnf_data.views.scans.listing import Said

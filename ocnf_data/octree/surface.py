@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F64, I64
+from ocnf_data.arrays import F64, I64, Bool
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.boxes import cut_trees
@@ -37,7 +37,8 @@ class _Piece(NamedTuple):
 
 def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
                    centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
-                   report: Callable[[int, int], None] | None = None) -> tuple[F64, I64]:
+                   trees: Bool | None = None, report: Callable[[int, int], None] | None = None,
+                   ) -> tuple[F64, I64]:
     """Marching cubes of a TSDF octree: a closed surface around what lies below `level`, facing outwards.
 
     Every edge belongs to exactly two faces. Beyond the grid's border everything is free, so that a solid cut
@@ -49,6 +50,8 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
         extent: length of the grid along its longest axis in metres.
         level: in units of tau; above 0 the surface lies outside of the measured one.
         centre: world position (x, y, z) of the grid's centre in metres.
+        trees: (GD, GH, GW) in which trees the surface is cut out, and perhaps a voxel beyond; None: in all.
+            Where they end the surface is open.
         report: told (windows done, windows in all) after each.
 
     Returns:
@@ -63,7 +66,7 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
         import skimage.measure  # noqa: F401
     except ImportError as error:
         raise missing_extra("marching cubes needs scikit-image", "fuse") from error
-    windows = Windows(octree, level, _CLEAR)
+    windows = Windows(octree, level, _CLEAR, trees)
     places = windows.places()
     pieces: dict[Place, _Piece] = {}
     for done, place in enumerate(places, 1):
@@ -81,10 +84,14 @@ def _cut(windows: Windows, place: Place) -> _Piece:
     from skimage.measure import marching_cubes
 
     values = windows.values(place)
+    nothing = _Piece(np.empty((0, 3)), np.empty((0, 3), np.int64), *[np.empty(0, np.int64)] * 2)
     if not values.min() < 0 < values.max():  # the other sign was in a tree beside the window
-        return _Piece(np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty(0, np.int64),
-                      np.empty(0, np.int64))
-    local, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+        return nothing
+    try:
+        local, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent",
+                                            mask=windows.counted(place, values.shape))
+    except RuntimeError:  # how it says that no cell that counts has a surface
+        return nothing
     below = np.floor(local).astype(np.int64)
     across = local > below
     # A vertex lies on the edge between two voxels, or (some tables of Lewiner's) in the middle of a cell.

@@ -7,9 +7,11 @@ neighbours share a layer of voxels. Indices z, y, x of voxels count that layer: 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from ocnf_data.arrays import F32, I64
+from ocnf_data.arrays import F32, I64, Bool
 from ocnf_data.octree.boxes import cut_trees
 from ocnf_data.octree.grid import GridOctree
 
@@ -28,10 +30,13 @@ class Windows:
         octree: 1 channel.
         level: what is subtracted of all values.
         clear: least distance of a value from 0 afterwards.
+        trees: (GD, GH, GW) which trees count; None: all.
     """
 
-    def __init__(self, octree: GridOctree, level: float, clear: np.float32) -> None:
+    def __init__(self, octree: GridOctree, level: float, clear: np.float32,
+                 trees: Bool | None = None) -> None:
         self.octree, self._level, self._clear = octree, np.float32(level), clear
+        self._trees = trees
         self._set: dict[Place, float] = {}
         self.shape = tuple(n + 2 for n in octree.shape)
 
@@ -42,10 +47,12 @@ class Windows:
         lowest = np.minimum.reduceat(self.octree.data[:, 0], first).reshape(grid) - self._level
         highest = np.maximum.reduceat(self.octree.data[:, 0], first).reshape(grid) - self._level
         lowest, highest = (np.pad(extreme, 1, constant_values=1.0) for extreme in (lowest, highest))
+        counted = np.ones(grid, bool) if self._trees is None else self._trees
+        counted = np.pad(counted, 1, mode="edge")
         found = []
         for place in np.ndindex(*(-(-n // _TREES) for n in grid)):
             trees = tuple(slice(i * _TREES, (i + 1) * _TREES + 2) for i in place)  # and the trees beside
-            if lowest[trees].min() < 0 and highest[trees].max() >= 0:
+            if lowest[trees].min() < 0 and highest[trees].max() >= 0 and counted[trees].any():
                 found.append((place[0], place[1], place[2]))
         return found
 
@@ -70,6 +77,14 @@ class Windows:
             if (local >= 0).all() and (local < values.shape).all():
                 values[tuple(local)] = value
         return values
+
+    def counted(self, place: Place, shape: Sequence[int]) -> Bool | None:
+        """Which cells of a window of that shape count, each at its last voxel, as marching cubes takes it."""
+        if self._trees is None:
+            return None
+        voxels = [first + np.arange(n) for first, n in zip(self.corner(place), shape, strict=True)]
+        return self._trees[np.ix_(*(np.clip(i - 1, 0, n - 3) // 8
+                                    for i, n in zip(voxels, self.shape, strict=True)))]
 
     def at(self, voxels: I64) -> F32:
         """Values of voxels (n, 3) z y x, which may lie in the layer around the volume."""

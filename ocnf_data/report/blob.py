@@ -42,6 +42,24 @@ def pack(arrays: Mapping[str, npt.NDArray[Any]], meta: object) -> str:
     return base64.b64encode(zlib.compress(raw, 7)).decode("ascii")
 
 
+def unpack(text: str) -> tuple[dict[str, npt.NDArray[Any]], Any]:
+    """The arrays and the rest that `pack` was given."""
+    raw = zlib.decompress(base64.b64decode(text))
+    end = 4 + int.from_bytes(raw[:4], "little")
+    header = json.loads(raw[4:end])
+    arrays = {}
+    for name, (kind, shape, offset, coding) in header["arrays"].items():
+        dtype = np.dtype(kind)
+        n = int(np.prod(shape))
+        part = np.frombuffer(raw, np.uint8, n * dtype.itemsize, end + offset)
+        if coding == "plain":
+            arrays[name] = part.reshape(shape)
+            continue
+        numbers = np.ascontiguousarray(part.reshape(dtype.itemsize, n).T).view(dtype.newbyteorder("<"))
+        arrays[name] = np.cumsum(numbers.reshape(shape), axis=0, dtype=dtype)
+    return arrays, header["meta"]
+
+
 def _delta(array: npt.NDArray[Any]) -> bytes:
     """Differences along the first axis modulo the type's range, then byte planes, the lowest first."""
     steps = np.diff(array, axis=0, prepend=array.dtype.type(0))

@@ -11,6 +11,7 @@ from rich.console import Console
 
 _out = Console(emoji=False, soft_wrap=True)
 _err = Console(stderr=True, emoji=False)
+_MOST_NAMED = 10  # samples that could not be shown
 
 
 def _cores() -> int:
@@ -33,6 +34,8 @@ def report_command(
         metavar="N", help="Voxels along a side of what is shown.", show_default="the largest")] = None,
     triangles: Annotated[int, typer.Option(min=100, metavar="N", help="The most of a surface.")] = 20_000,
     up: Annotated[str, typer.Option(help="Which axis of the meshes points up: y or z.")] = "z",
+    rerun: Annotated[Path | None, typer.Option(
+        metavar="FILE.rrd", help="Also write a recording of the samples for the rerun viewer.")] = None,
 ) -> None:
     """Write one HTML page to look at: statistics, failures, a gallery, and every sample in 3-D.
 
@@ -47,10 +50,12 @@ def report_command(
     with Progress(console=_err, disable=not _err.is_terminal) as progress:
         task = progress.add_task("drawing", total=None)
         done = write_report(folder, out, meshes=meshes, splits=split, limit=limit, variant=variant,
-                            resolution=resolution, triangles=triangles, up=up, jobs=jobs,
+                            resolution=resolution, triangles=triangles, up=up, jobs=jobs, rerun=rerun,
                             progress=lambda n, total: progress.update(task, completed=n, total=total))
-    for key, error in done.failures:
+    for key, error in done.failures[:_MOST_NAMED]:
         print_error(f"{key}: {error}".replace(f"{key}: {key}: ", f"{key}: "), _err)
+    if len(done.failures) > _MOST_NAMED:
+        print_error(f"and {len(done.failures) - _MOST_NAMED} more: the page's tab Failures names them", _err)
     for path in done.paths:
         _out.print(str(path), highlight=False, markup=False)
     raise typer.Exit(1 if done.failures else 0)

@@ -19,6 +19,8 @@ from ocnf_data.report.deviation import Deviation
 from ocnf_data.report.geometry import Triangles, as_bytes, as_steps, drawn_on, ordered, seen_points, simplify
 from ocnf_data.views.cameras import Views
 
+ERROR_COLOURS = ("#ece9e2", "#f4d98f", "#ec9a4c", "#c63f33", "#5d1230")
+"""From no error to the end of the scale, at equal distances."""
 _POINTS = 12_000
 _DRAWN = 20_000  # points that a mean error is measured at
 _DEPTH_WIDTH = 240  # pixels

@@ -22,7 +22,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.render.pictures import DISTANCE_COLOURS
-from ocnf_data.report.contents import Card, Scale
+from ocnf_data.report.contents import ERROR_COLOURS, Card, Scale
 
 LARGEST = 50_000_000
 """Bytes of a page that is still one file."""
@@ -144,7 +144,8 @@ class PageWriter:
     def finish(self, page: Page) -> list[Path]:
         """Write the page; the paths of the page and, if there is one, of the folder beside it."""
         data = {**asdict(page), "scale": page.scale._asdict(), "samples": self._rows,
-                "folder": self.folder if self._is_split else None, "distanceColours": DISTANCE_COLOURS}
+                "folder": self.folder if self._is_split else None, "distanceColours": DISTANCE_COLOURS,
+                "errorColours": ERROR_COLOURS}
         self._remove_older()
         geometry = "".join(f'<script type="text/plain" id="geometry-{number}">{blob}</script>\n'
                            for number, blob in enumerate(self._held)) if not self._is_split else ""

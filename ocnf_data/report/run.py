@@ -14,7 +14,8 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.report.contents import Card
 from ocnf_data.report.overview import data_page
 from ocnf_data.report.page import PageWriter
-from ocnf_data.report.sample import Choice, make_card
+from ocnf_data.report.recording import Recording
+from ocnf_data.report.sample import Choice, make_card, page_scale
 from ocnf_data.shards.browse import StoredSample
 from ocnf_data.shards.dataset import DatasetInfo, ShardEntry, load_dataset
 from ocnf_data.shards.index import shard_path
@@ -36,7 +37,7 @@ class ReportResult(NamedTuple):
     """What was written.
 
     Attributes:
-        paths: the page, and the folder beside it if there is one.
+        paths: the page, the folder beside it if there is one, and the recording if there is one.
         n_samples: samples on the page.
         failures: (key, error) of samples that could not be shown.
     """
@@ -55,7 +56,7 @@ class _Task(NamedTuple):
 
 def write_report(url: str, out: Path, *, meshes: Path | None = None, splits: list[str] | None = None,
                  limit: int | None = None, variant: str | None = None, resolution: int | None = None,
-                 triangles: int = 20_000, up: str = "z", jobs: int = 1,
+                 triangles: int = 20_000, up: str = "z", jobs: int = 1, rerun: Path | None = None,
                  progress: Callable[[int, int], None] | None = None) -> ReportResult:
     """Write the page of a data set.
 
@@ -71,6 +72,7 @@ def write_report(url: str, out: Path, *, meshes: Path | None = None, splits: lis
         triangles: at most so many of each surface.
         up: the axis of the meshes that points up, y or z.
         jobs: worker processes.
+        rerun: also a recording of the samples for the rerun viewer, FILE.rrd; None: none.
         progress: called with (samples done, samples in all).
 
     Raises:
@@ -88,6 +90,7 @@ def write_report(url: str, out: Path, *, meshes: Path | None = None, splits: lis
     if meshes is not None and not meshes.is_dir():
         raise OcnfError("no such folder", code="missing", where=meshes, field="--meshes",
                         expected="the folder that the meshes were read from")
+    recording = None if rerun is None else Recording(rerun, page_scale(manifest, choice), up)
     total = sum(task.n for task in tasks)
     failures: list[tuple[str, OcnfError]] = []
     cards: list[Card] = []
@@ -97,11 +100,16 @@ def write_report(url: str, out: Path, *, meshes: Path | None = None, splits: lis
             failures.append((drawn.key, drawn.error))
         elif drawn.card is not None:
             writer.add(drawn.card)
+            if recording is not None:
+                recording.add(drawn.card)
             cards.append(drawn.card._replace(thumbnail=b"", blob=""))
         if progress is not None:
             progress(done, total)
+    if recording is not None:
+        recording.finish()
     page = data_page(store, info, manifest, choice, cards, failures)
-    return ReportResult(writer.finish(page), len(writer), failures)
+    paths = [*writer.finish(page), *([] if rerun is None else [rerun])]
+    return ReportResult(paths, len(writer), failures)
 
 
 def _choose(manifest: Manifest, variant: str | None, resolution: int | None, triangles: int, up: str,

@@ -9,11 +9,9 @@ import numpy as np
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, fuse_tsdf
+from ocnf_data.sequences import Box
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.normalisation import Normalisation
-
-Box = tuple[float, float, float, float, float, float]
-"""x0 y0 z0 x1 y1 z1 in metres, in the scan's coordinates."""
 
 _SEARCH_RESOLUTION = 128
 _SEARCH_POINTS = 200_000
@@ -35,10 +33,7 @@ def object_box(views: Views | DepthPyramid) -> Box:
     from scipy.ndimage import find_objects, label
 
     pyramid = views if isinstance(views, DepthPyramid) else DepthPyramid(views)
-    points = _some_points(pyramid.views)
-    if not len(points):
-        raise OcnfError("nothing was measured in any frame", code="empty", where="the scan")
-    low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    low, high = measured_bounds(measured_points(pyramid.views))
     size = max(float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN), 1e-6)
     x, y, z = ((low + high) / 2).tolist()
     octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, size, centre=(x, y, z))
@@ -81,11 +76,24 @@ def placed(views: Views, normalisation: Normalisation) -> Views:
 
 def looks_into(views: Views, extent: float) -> bool:
     """Whether some measurement of placed views lies in the cube."""
-    points = _some_points(views)
+    points = measured_points(views)
     return bool((np.abs(points) <= extent / 2).all(axis=1).any())
 
 
-def _some_points(views: Views) -> F64:
+def measured_bounds(points: F64) -> tuple[F64, F64]:
+    """Ends (x, y, z) of the box around points (N, 3), but for 0.2 % of them at either end of each axis.
+
+    Raises:
+        OcnfError: there are none (`empty`).
+    """
+    if not len(points):
+        raise OcnfError("nothing was measured in any frame", code="empty", where="the scan",
+                        fix="check --depth-scale, --max-depth and --crop")
+    low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    return low, high
+
+
+def measured_points(views: Views) -> F64:
     """World positions (N, 3) of some of the pixels that hit something, spread over all views."""
     height, width = views.size
     step = max(1, int(np.sqrt(views.depth.size / _SEARCH_POINTS)))

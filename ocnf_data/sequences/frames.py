@@ -25,7 +25,8 @@ class FrameSequence:
 
     Attributes:
         folder: the scan.
-        listing: the frames, all of them with a finite pose, and what their numbers mean.
+        listing: the frames, all of them with a finite pose, what their numbers mean, and notes on those that
+            are left out.
         format: name of the scan's format.
         said: what the manifest says in place of the format's own definition.
     """
@@ -55,8 +56,11 @@ class FrameSequence:
         if not posed:
             raise OcnfError("no frame can be used", code="empty", where=folder,
                             found=f"{len(listing.frames)} frames, none with a known pose")
+        lost = [f"{frame.name}: the pose is not known (NaN or infinite), left out"
+                for frame in listing.frames if not np.isfinite(frame.pose).all()]
         chosen = tuple(posed[i] for i in choose(len(posed), frames))
-        return cls(Path(folder), replace(listing, frames=chosen), name, said or Said())
+        used = replace(listing, frames=chosen, notes=(*listing.notes, *lost))
+        return cls(Path(folder), used, name, said or Said())
 
     def __len__(self) -> int:
         return len(self.listing.frames)

@@ -11,7 +11,7 @@ from ocnf_data.octree.surface import octree_surface
 _ON_GRID = 1e-4  # voxels
 
 
-def known_surface(tsdf: GridOctree, extent: float) -> tuple[F64, I64]:
+def known_surface(tsdf: GridOctree, extent: float, known: GridOctree | None = None) -> tuple[F64, I64]:
     """The surface between voxels that are known, as triangles: vertices (N, 3) metres, faces (M, 3).
 
     What no view counts is -1 and closes every reconstruction by walls. A measured surface has voxels before
@@ -20,13 +20,16 @@ def known_surface(tsdf: GridOctree, extent: float) -> tuple[F64, I64]:
     Args:
         tsdf: TSDF / tau.
         extent: edge length of its cube in metres, centred at the origin.
+        known: the TSDF / tau, of the same resolution, that says what is known, such as the reference's where
+            `tsdf` is a network's; None: `tsdf` itself.
     """
+    known = tsdf if known is None else known
     vertices, faces = octree_surface(tsdf, extent)
     place = ((vertices + extent / 2) * max(tsdf.shape) / extent - 0.5)[:, ::-1]  # voxels: z, y, x
-    known = np.ones(len(vertices), bool)
+    kept = np.ones(len(vertices), bool)
     for cells in (np.floor(place + _ON_GRID), np.ceil(place - _ON_GRID)):
         inside = np.clip(cells, 0, np.array(tsdf.shape) - 1).astype(np.int64)
-        known &= tsdf.gather(inside)[:, 0] > -1
-    faces = faces[known[faces].all(axis=1)]
+        kept &= known.gather(inside)[:, 0] > -1
+    faces = faces[kept[faces].all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)
     return vertices[used], corners.reshape(-1, 3).astype(np.int64)

@@ -20,7 +20,7 @@ from rich.progress import track
 from ocnf_data.arrays import Bool
 from ocnf_data.files.storage import Store
 from ocnf_data.terminal import narrow_table
-from ocnf_model.completion.figure import CompletedFrame, draw_completions
+from ocnf_model.completion.figure import DrawnFrame, draw_completions
 from ocnf_model.completion.methods import OURS, Completion, methods_of
 from ocnf_model.completion.predict import CompletionNetwork
 from ocnf_model.completion.scores import Scores
@@ -60,7 +60,7 @@ def run_completion_evaluation(run: str | None, data: str, *, out: Path, split: s
     frames = list_frames(data, split)
     network = None if run is None else CompletionNetwork(run, device)
     methods, notes = methods_of(data, network, forest)
-    store, rows, pictures = Store(out), list[FrameRow](), list[CompletedFrame]()
+    store, rows, pictures = Store(out), list[FrameRow](), list[DrawnFrame]()
     drawn = {frames[i * len(frames) // max(figures, 1)].name for i in range(figures)}
     for frame in track(frames, "completing", console=console, transient=True):
         found = _complete(frame, methods, rows)
@@ -68,7 +68,7 @@ def run_completion_evaluation(run: str | None, data: str, *, out: Path, split: s
             scene = frame.read()
             shown = {name: found[name] for name in _DRAWN if name in found}
             scores = {row.method: row.scores for row in rows if row.frame == frame.name}
-            pictures.append(CompletedFrame(scene, shown, scores))
+            pictures.append(DrawnFrame(scene, shown, scores))
     if pictures:
         store.put_bytes("completion.png", draw_completions(pictures))
     lines = _lines(rows, list(methods))

@@ -21,7 +21,7 @@ _ASIDE = 75.0  # degrees around the vertical from the view, so that what it does
 
 
 @dataclass(frozen=True, eq=False)
-class CompletedFrame:
+class DrawnFrame:
     """A row of the figure.
 
     Attributes:
@@ -35,7 +35,7 @@ class CompletedFrame:
     scores: Mapping[str, Scores]
 
 
-def draw_completions(pictures: Sequence[CompletedFrame]) -> bytes:
+def draw_completions(pictures: Sequence[DrawnFrame]) -> bytes:
     """A PNG with a row a frame: the depth map, then the judged and occupied voxels by method, and in truth.
 
     Args:

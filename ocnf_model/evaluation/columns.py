@@ -36,7 +36,7 @@ class Table:
 
 
 def _region_cells(one: Summary) -> list[str]:
-    return [number(value, 3) for value in (*astuple(one.regions), one.regions.total)]
+    return [number(value, 3) for value in (*astuple(one.regions), one.regions.total, one.known_mm)]
 
 
 def _surface_cells(one: Summary) -> list[str]:
@@ -55,10 +55,12 @@ def _thin_cells(one: Summary) -> list[str]:
 
 TABLES = (
     Table("MAD by region, mm",
-          ("seen free", "seen band", "seen inside", "unseen free", "unseen band", "unseen inside", "all"),
+          ("seen free", "seen band", "seen inside", "unseen free", "unseen band", "unseen inside", "all",
+           "known"),
           _region_cells,
           "Contributions to the MAD of the voxels that at least one input view counts for (seen) or none, by "
-          "what the truth is there: free (+tau), inside (-tau), or the band between. They sum to the MAD.",
+          "what the truth is there: free (+tau), inside (-tau, of scans also unknown), or the band between. "
+          "They sum to the MAD. Known: the MAD over the voxels that are free or in the band alone.",
           with_ceilings=False),
     Table("surface", ("Chamfer mm", "Chamfer voxels", "F-score", "precision", "recall", "normals"),
           _surface_cells,

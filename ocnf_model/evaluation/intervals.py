@@ -48,3 +48,12 @@ def bootstrap_ratio(ours: Sequence[float], theirs: Sequence[float]) -> Ratio:
     sums = pairs[:, np.random.default_rng(_SEED).integers(0, n, (_RESAMPLES, n))].sum(axis=2)
     low, high = np.percentile(sums[0][sums[1] > 0] / sums[1][sums[1] > 0], [2.5, 97.5])
     return Ratio(value, float(low), float(high))
+
+
+def bootstrap_mean(values: Sequence[float]) -> Ratio:
+    """The mean over the models with the same percentile interval: a ratio to 1.
+
+    Args:
+        values: (n,) a figure of each model.
+    """
+    return bootstrap_ratio(values, [1.0] * len(values))

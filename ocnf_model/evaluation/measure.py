@@ -24,7 +24,7 @@ from ocnf_model.measures.figures import THICK, SurfaceFigures, measure_surface
 from ocnf_model.measures.reference import Reference
 from ocnf_model.measures.regions import EXACT, Regions, mad_by_region, seen_by
 from ocnf_model.measures.surface import Surface
-from ocnf_model.metrics import mad_mm, occupancy_overlap, tsdf_overlap
+from ocnf_model.metrics import known_mad_mm, mad_mm, occupancy_overlap, tsdf_overlap
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 
@@ -50,6 +50,7 @@ class Row:
         n_leaves: number of leaves of the reconstruction.
         regions: contributions to the MAD by region.
         surface: how the surface lies to the true one.
+        known_mm: `mad_mm` over the voxels where the truth is not exactly -tau; NaN as there.
     """
 
     key: str
@@ -65,6 +66,7 @@ class Row:
     n_leaves: int
     regions: Regions = field(default_factory=Regions)
     surface: SurfaceFigures = field(default_factory=SurfaceFigures)
+    known_mm: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +176,7 @@ class Bench:
     def _row(self, model: Model, label: str, result: Field, truth: Field, seconds: float,
              seen: OctreeBatch | None, reference: Reference) -> Row:
         resolution = max(truth.volume.shape)
-        mad, regions = math.nan, Regions()
+        mad, known, regions = math.nan, math.nan, Regions()
         if result.is_occupancy or truth.is_occupancy:
             overlap = occupancy_overlap(result.as_occupancy(), truth.as_occupancy())
         else:
@@ -184,6 +186,7 @@ class Bench:
             found, true = result.volume.refined(structure), truth.volume.refined(structure)  # once for all
             overlap = tsdf_overlap(found, true)
             mad = float(mad_mm(found, true, self._facts.taus[resolution]))
+            known = float(known_mad_mm(found, true, self._facts.taus[resolution]))
             if seen is not None:
                 regions = Regions(*mad_by_region(found, true, seen, self._facts.taus[resolution])[0].tolist())
         extent = self._facts.extent
@@ -191,7 +194,7 @@ class Bench:
         surface = measure_surface(reached, reference, extent / resolution, extent)
         return Row(model.key, model.category, self._plan.variant, resolution, label, mad, float(overlap.iou),
                    float(overlap.precision), float(overlap.recall), seconds, result.volume.n_leaves, regions,
-                   surface)
+                   surface, known)
 
 
 def level_resolutions(facts: DatasetFacts, resolutions: Sequence[int]) -> list[int]:

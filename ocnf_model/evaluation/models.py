@@ -157,19 +157,21 @@ class Models:
         encodings: the input encodings to read; at least one.
         resolutions: the resolutions to read, voxels along each axis.
         limit: the first so many only; None for all.
+        categories: models of these only; None for all.
 
     Raises:
         OcnfError: the data set lacks what is asked for, or is damaged: where, and what there is.
     """
 
     def __init__(self, facts: DatasetFacts, split: str, variant: str, encodings: Sequence[Encoding],
-                 resolutions: Sequence[int], limit: int | None = None) -> None:
+                 resolutions: Sequence[int], limit: int | None = None,
+                 categories: Sequence[str] | None = None) -> None:
         if limit is not None and limit < 1:
             raise OcnfError("no models are asked for", field="limit", found=limit, expected="1 or more")
         self._encodings = list(encodings)
         self._sets = [
-            ShardDataset(facts.url, split, list(resolutions), encoding, variant, shuffle=False,
-                         uneven="exact", rank=0, world_size=1, targets=number == 0)
+            ShardDataset(facts.url, split, list(resolutions), encoding, variant, categories=categories,
+                         shuffle=False, uneven="exact", rank=0, world_size=1, targets=number == 0)
             for number, encoding in enumerate(self._encodings)
         ]
         self._limit = limit

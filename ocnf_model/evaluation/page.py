@@ -24,7 +24,6 @@ from ocnf_model.evaluation.methods import Method
 from ocnf_model.evaluation.models import VariantPlan
 from ocnf_model.evaluation.summary import ALL, Summary
 
-_TRIANGLES = 20_000
 _SAYS = {Method.VOLFUS.label: "plain fusion", Method.TVL1.label: "fused with total variation",
          Method.OURS.label: "the network's output"}
 _HEAD = ("MAD, mm", "MAD / VolFus", "IoU", "F-score", "Chamfer, mm", "normals", "seconds")
@@ -43,17 +42,19 @@ class EvaluationPage:
         split: its split.
         meshes: the folder of its meshes, or None: then the surface of the ground truth may stand in for them.
         up: the axis that points up, y or z.
+        triangles: the most of a surface.
 
     Raises:
         OcnfError: the page cannot be written there, or the data set's manifest cannot be read.
     """
 
-    def __init__(self, path: Path, data: str, split: str, meshes: Path | None, up: str) -> None:
+    def __init__(self, path: Path, data: str, split: str, meshes: Path | None, up: str,
+                 triangles: int = 20_000) -> None:
         self._writer = PageWriter(path)
         self._store = Store(data)
         self._info = load_dataset(self._store)
         self._manifest = Manifest.from_dict(self._info.manifest)
-        self._split, self._meshes, self._up = split, meshes, up
+        self._split, self._meshes, self._up, self._triangles = split, meshes, up, triangles
         self._labels: list[str] = []
         self._failures: list[list[str | float | None]] = []
         self._plans: list[VariantPlan] = []
@@ -119,7 +120,7 @@ class EvaluationPage:
 
     def _choice(self, variant: str) -> Choice:
         entry = next(one for one in self._manifest.inputs if one.name == variant)
-        return Choice(entry, max(self._manifest.resolutions), _TRIANGLES, self._up)
+        return Choice(entry, max(self._manifest.resolutions), self._triangles, self._up)
 
     def _sample(self, key: str) -> StoredSample:
         place = load_catalogue(self._store, self._info, self._split).find(key)

@@ -131,7 +131,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
              split: str = "test", methods: Sequence[str] | None = None,
              weights: Path | None = None, limit: int | None = None, n_figures: int = 0, up: str = "z",
              console: Console | None = None, title: str = "", meshes: Path | None = None,
-             page: EvaluationPage | None = None) -> Evaluation:
+             page: EvaluationPage | None = None, categories: Sequence[str] | None = None) -> Evaluation:
     """Evaluate a network where it is, or the baselines alone.
 
     Args:
@@ -148,6 +148,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         title: title of the report.
         meshes: the folder that the data set's meshes were read from, as for `run_evaluate`.
         page: gets every model with its reconstructions; the caller finishes it. None: there is no page.
+        categories: models of these only; None for all.
     """
     facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
@@ -166,7 +167,8 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     rows: list[Row] = []
     ceilings: list[Row] = []
     figures: dict[str, bytes] = {}
-    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit) for plan in plans]
+    sets = [Models(facts, split, plan.variant, plan.encodings, facts.resolutions, limit, categories)
+            for plan in plans]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for plan, models in zip(plans, sets, strict=True):

@@ -37,6 +37,7 @@ class Summary:
         surface: measures of the surface; each recall by thickness is the mean over the models that have such
             parts.
         n_thin, n_medium, n_thick: models that have such parts.
+        known_mm: mean of the field of `Row` with this name over the models that have it.
     """
 
     variant: str
@@ -55,6 +56,7 @@ class Summary:
     n_thin: int = 0
     n_medium: int = 0
     n_thick: int = 0
+    known_mm: float = math.nan
 
 
 def summarise(rows: Iterable[Row]) -> list[Summary]:
@@ -84,7 +86,12 @@ def _summary(group: tuple[str, str, int, str], rows: Sequence[Row], volfus: Sequ
         regions=_mean(Regions, [row.regions for row in rows]), surface=_mean(SurfaceFigures, surfaces),
         n_thin=_known(one.recall_thin for one in surfaces),
         n_medium=_known(one.recall_medium for one in surfaces),
-        n_thick=_known(one.recall_thick for one in surfaces))
+        n_thick=_known(one.recall_thick for one in surfaces), known_mm=_mean_known(rows))
+
+
+def _mean_known(rows: Sequence[Row]) -> float:
+    known = [row.known_mm for row in rows if not math.isnan(row.known_mm)]
+    return float(np.mean(known)) if known else math.nan
 
 
 def _mean(kind: type[Figures], parts: Sequence[Figures]) -> Figures:

@@ -7,11 +7,12 @@ import os
 import numpy as np
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.sequences.cube import measured_points
 from ocnf_data.views.cameras import Views
-from ocnf_model.scan.region import Region, measured_points
+from ocnf_model.scan.region import Region
 
 _CELLS = 64  # along the region's longest axis, of the estimate of its surface
-_BYTES_A_SURFACE_VOXEL = 500
+_BYTES_A_SURFACE_VOXEL = 1200
 """The octrees of the tiles and of the whole about a voxel of surface, and two faces and a vertex, some of
 which are there several times while marching cubes joins them and loose parts are dropped; as measured."""
 _BYTES_A_TREE = 60  # 16 of the tree, 8 of its place, some of these more than once

@@ -23,6 +23,7 @@ from ocnf_model.scan.components import LOOSE_VOXELS, check_faces, decimate, drop
 from ocnf_model.scan.fusers import Fuser, fuse_tile
 from ocnf_model.scan.reconstruction import Reconstruction
 from ocnf_model.scan.region import Region, everything, largest_object, looked_at, observed
+from ocnf_model.scan.seen import measured_trees
 from ocnf_model.scan.stages import StageLog
 from ocnf_model.scan.tiles import plan_tiles
 
@@ -89,7 +90,9 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
     octrees, grid, truncation = _fuse(pyramid, fuser, region, voxel, stages, report)
     seconds = stages.total - began
     with stages.stage("surface") as stage:
-        vertices, triangles = octree_surface(octrees[max(octrees)], grid.size, centre=grid.centre,
+        octree = octrees[max(octrees)]
+        trees = None if keep_unseen else measured_trees(scan.views, grid, octree.shape, truncation)
+        vertices, triangles = octree_surface(octree, grid.size, centre=grid.centre, trees=trees,
                                              report=stage.report)
         stage.say(f"{len(triangles):,} faces by marching cubes")
     with stages.stage("clean") as stage:
@@ -126,7 +129,7 @@ def _fuse(pyramid: DepthPyramid, fuser: Fuser, region: Region, voxel: float | No
     label = fuser.method.label
     with stages.stage("fuse") as stage:
         if voxel is None:
-            octrees = fuser(pyramid, region)
+            octrees = fuser(pyramid, region, stage.report)
             stage.say(f"{label}, {fuser.resolution}³ voxels of "
                       f"{1000 * region.size / fuser.resolution:.2f} mm")
             return octrees, region, default_truncation(fuser.resolution, region.size)

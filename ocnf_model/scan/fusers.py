@@ -7,7 +7,7 @@ scaled into the cube of training, and the surface is in the scan's coordinates a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,8 @@ from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.scan.region import Region
 
+Told = Callable[[int, int], None]
+
 
 @dataclass(frozen=True)
 class Baseline:
@@ -31,7 +33,8 @@ class Baseline:
     resolution: int = 256
     weight: float | None = None
 
-    def __call__(self, pyramid: DepthPyramid, region: Region) -> dict[int, GridOctree]:
+    def __call__(self, pyramid: DepthPyramid, region: Region, report: Told | None = None,
+                 ) -> dict[int, GridOctree]:
         """The region's cube by resolution, of which there is one: TSDF / tau, 1 channel."""
         size, centre = region.size, region.centre
         if self.weight is None:
@@ -111,18 +114,24 @@ class Learned:
             return self
         return Learned(self.network, self.resolutions[: fitting[0]], self.truncation_voxels)
 
-    def __call__(self, pyramid: DepthPyramid, region: Region) -> dict[int, GridOctree]:
+    def __call__(self, pyramid: DepthPyramid, region: Region, report: Told | None = None,
+                 ) -> dict[int, GridOctree]:
         """The region's cube by resolution, coarse to fine, 1 channel each.
 
-        TSDF / tau, or 1 - 2 p of the probability p of being occupied.
+        TSDF / tau, or 1 - 2 p of the probability p of being occupied. `report` is told (levels run, levels in
+        all) after each.
         """
         network, size = self.network, region.size
         inputs = [OctreeBatch.from_grids([
             fuse(pyramid, network.encoding, resolution, size, self.truncation_voxels * size / resolution,
                  centre=region.centre)]) for resolution in self.resolutions]
         reached = run_levels(network, inputs, next(network.parameters()).device)
-        return {resolution: self._signed(level.reconstruction)
-                for resolution, level in zip(self.resolutions, reached, strict=True)}
+        octrees = {}
+        for resolution, level in zip(self.resolutions, reached, strict=True):
+            octrees[resolution] = self._signed(level.reconstruction)
+            if report is not None:
+                report(len(octrees), len(self.resolutions))
+        return octrees
 
     def _signed(self, reconstruction: OctreeBatch) -> GridOctree:
         field = reconstruction.features

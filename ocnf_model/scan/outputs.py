@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from pathlib import Path
 
@@ -27,6 +28,8 @@ def check_target(path: Path, suffixes: tuple[str, ...]) -> None:
                         expected=", ".join(suffixes))
     if path.is_dir():
         raise OcnfError("is a folder, not a file", code="io", where=path)
+    if path.exists() and not os.access(path, os.W_OK):  # it would be replaced, whatever its own permissions
+        raise OcnfError("the file is read-only", code="permission", where=path, fix="name another file")
     folder = path.absolute().parent
     while not folder.exists():
         folder = folder.parent

@@ -15,7 +15,7 @@ from ocnf_data.views.scans import Scan
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.scan.reconstruction import Reconstruction
 
-_PIXELS = 720
+_PIXELS = 640
 _INCHES = 4.6
 _TRIED = 40  # frames, of which two are drawn from
 _POINTS = 20_000
@@ -42,11 +42,11 @@ def draw_comparison(results: Sequence[Reconstruction], scan: Scan, path: Path) -
             for i in frames]
     centres = -np.einsum("vji,vj->vi", scan.views.R, scan.views.T)
     if not results[0].region.holds(centres).any():
-        rows[1] = ("from the side", _from_the_side(results, scan.views, centres))
-    height, width = rows[0][1][0].shape[:2]
-    figure = Figure(figsize=(_INCHES * len(results) + 0.3, (_INCHES * height / width + 0.2) * 2 + 0.7),
-                    dpi=150, layout="constrained")
-    axes = figure.subplots(2, len(results), squeeze=False)
+        rows[1] = ("from the side", _trimmed(_from_the_side(results, scan.views, centres)))
+    heights = [images[0].shape[0] / images[0].shape[1] for _, images in rows]
+    figure = Figure(figsize=(_INCHES * len(results) + 0.3, _INCHES * sum(heights) + 1.0), dpi=150,
+                    layout="constrained")
+    axes = figure.subplots(2, len(results), squeeze=False, height_ratios=heights)
     for row, (name, images) in enumerate(rows):
         for column, (result, image) in enumerate(zip(results, images, strict=True)):
             ax = axes[row, column]
@@ -61,6 +61,13 @@ def draw_comparison(results: Sequence[Reconstruction], scan: Scan, path: Path) -
                 ax.set_ylabel(name, fontsize=8)
     with Store(path.parent).writing(path.name) as file, file.open("wb") as stream:
         FigureCanvasAgg(figure).print_png(stream)
+
+
+def _trimmed(images: Sequence[U8]) -> list[U8]:
+    """Pictures of one size without the white above and below what is in any of them."""
+    drawn = np.any([(image < 255).any(axis=(1, 2)) for image in images], axis=0)
+    rows = np.flatnonzero(drawn)
+    return [image[rows[0]: rows[-1] + 1] if len(rows) else image for image in images]
 
 
 def _two_frames(vertices: F64, views: Views) -> tuple[int, int]:

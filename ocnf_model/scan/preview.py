@@ -11,9 +11,10 @@ import numpy as np
 from ocnf_data.arrays import F64
 from ocnf_data.files.storage import Store
 from ocnf_data.render.pictures import draw_depth
+from ocnf_data.sequences.cube import measured_points
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Scan
-from ocnf_model.scan.region import Region, measured_points
+from ocnf_model.scan.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

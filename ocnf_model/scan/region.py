@@ -10,14 +10,11 @@ from numba import njit, prange
 
 from ocnf_data.arrays import F32, F64, Bool
 from ocnf_data.errors import OcnfError
-from ocnf_data.fusion import DepthPyramid, fuse_tsdf
+from ocnf_data.fusion import DepthPyramid
+from ocnf_data.sequences.cube import measured_bounds, measured_points, object_box
 from ocnf_data.views.cameras import Views
 
 _PADDING = 0.05  # of the cube is free on both sides together, as around the meshes of training
-_SEARCH_RESOLUTION = 128
-_SEARCH_POINTS = 200_000
-_OUTLIERS = 0.2  # per cent of the points at either end of an axis that do not stretch the search
-_SEARCH_MARGIN = 0.1
 _ROOM_MARGIN = 0.02  # of each axis, added at both ends
 _SAMPLES = 12  # along each side of a region, of whether it is looked at
 
@@ -79,7 +76,7 @@ def everything(views: Views | DepthPyramid) -> Region:
     Raises:
         OcnfError: nothing was measured (`empty`).
     """
-    low, high = _bounds(measured_points(views.views if isinstance(views, DepthPyramid) else views))
+    low, high = measured_bounds(measured_points(views.views if isinstance(views, DepthPyramid) else views))
     margin = _ROOM_MARGIN * np.maximum(high - low, 1e-6)
     return Region.of_box([*(low - margin), *(high + margin)])
 
@@ -95,21 +92,7 @@ def largest_object(views: Views | DepthPyramid) -> Region:
     Raises:
         OcnfError: nothing was measured (`empty`).
     """
-    from scipy.ndimage import find_objects, label
-
-    pyramid = views if isinstance(views, DepthPyramid) else DepthPyramid(views)
-    low, high = _bounds(measured_points(pyramid.views))
-    size = float((high - low).max()) * (1 + 2 * _SEARCH_MARGIN)
-    x, y, z = ((low + high) / 2).tolist()
-    octree = fuse_tsdf(pyramid, _SEARCH_RESOLUTION, max(size, 1e-6), centre=(x, y, z))
-    labels, n = label(np.abs(octree.to_dense()[0]) < 1, np.ones((3, 3, 3)))
-    if n == 0:
-        raise OcnfError("no surface was found in the scan", code="empty", where="the scan")
-    largest = int(np.bincount(labels.ravel())[1:].argmax())
-    zyx = np.array([(span.start, span.stop) for span in find_objects(labels)[largest]])
-    voxel = size / _SEARCH_RESOLUTION
-    corners = (zyx[::-1].T - _SEARCH_RESOLUTION / 2) * voxel + [x, y, z]
-    return Region.of_box([*corners[0], *corners[1]])
+    return Region.of_box(object_box(views))
 
 
 def looked_at(views: Views, region: Region) -> bool:
@@ -161,32 +144,3 @@ def _mark_observed(points: F64, depth: F32, K: F64, R: F64, T: F64, band: float,
                         seen[i] = True
             if seen[i]:
                 break
-
-
-def measured_points(views: Views) -> F64:
-    """World positions (N, 3) of some of the pixels that hit something, spread over all views."""
-    return np.concatenate([np.empty((0, 3)), *points_of_frames(views)])
-
-
-def points_of_frames(views: Views, count: int = _SEARCH_POINTS) -> list[F64]:
-    """World positions (n, 3) of pixels that hit something, for each frame; about `count` in all."""
-    height, width = views.size
-    step = max(1, int(np.sqrt(views.depth.size / count)))
-    v, u = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
-    points = []
-    for depth, K, R, T in zip(views.depth, views.K, views.R, views.T, strict=True):
-        z = depth[v, u].astype(np.float64)
-        hit = (z > 0) & np.isfinite(z)
-        z = z[hit]
-        camera = np.stack([(u[hit] - K[0, 2]) / K[0, 0] * z, (v[hit] - K[1, 2]) / K[1, 1] * z, z], axis=1)
-        points.append((camera - T) @ R)
-    return points
-
-
-def _bounds(points: F64) -> tuple[F64, F64]:
-    """Low and high corner of points, without those farthest out."""
-    if not len(points):
-        raise OcnfError("nothing was measured in any frame", code="empty", where="the scan",
-                        fix="check --depth-scale, --max-depth and --crop")
-    low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
-    return low, high

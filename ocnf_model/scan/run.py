@@ -15,6 +15,7 @@ from ocnf_data.views.scans import Scan, read_scan
 from ocnf_model.checkpoint import open_run
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
+from ocnf_model.scan.components import check_faces
 from ocnf_model.scan.frames import limit_depth
 from ocnf_model.scan.fuse import choose_region, reconstruct
 from ocnf_model.scan.fusers import Baseline, Fuser, Learned
@@ -79,12 +80,17 @@ class Asked:
         """Raise OcnfError where something cannot be done whatever the scan is."""
         if self.out is None and self.preview is None:
             raise OcnfError("nothing to make", field="out", expected="--out MESH, or --preview PICTURE")
+        if self.out is None and (self.tsdf is not None or self.picture is not None):
+            raise OcnfError("nothing is fused without a mesh to write", field="out",
+                            fix="name one with --out MESH")
         for path, suffixes in ((self.out, mesh_suffixes()), (self.tsdf, TSDF_SUFFIXES)):
             if path is not None:
                 check_target(path, suffixes)
         for path in (self.picture, self.preview):
             if path is not None:
                 check_picture(path)
+        if self.faces is not None:
+            check_faces(self.faces)
         if not self.chosen():
             raise OcnfError("no method", field="method", expected="ours, volfus or tvl1")
         if self.box is not None and self.room:
@@ -162,10 +168,12 @@ def _write(asked: Asked, results: Sequence[Reconstruction], scan: Scan, stages: 
             lines.append(f"{path}: {len(result.faces):,} faces by {Method(result.method).label} at {voxels}")
             if asked.tsdf is not None:
                 save_tsdf(result, asked.tsdf.with_stem(asked.tsdf.stem + tag))
-        if asked.picture is not None:
-            from ocnf_model.scan.picture import draw_comparison
+    if asked.picture is not None:
+        from ocnf_model.scan.picture import draw_comparison
 
+        with stages.stage("picture") as stage:
             draw_comparison(results, scan, asked.picture)
+            stage.say(str(asked.picture))
     if stages.console is not None:
         lines[-1] += f", {stages.total:.1f} s in all, {results[-1].region}"
         for line in lines:

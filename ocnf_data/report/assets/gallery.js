@@ -62,7 +62,8 @@
         ? ocnf.measured(samples[number], shown) : "";
     }
     by("cards").replaceChildren(...order.map((number) => cards[number]));
-    by("count").value = order.length === samples.length ? `${samples.length} samples` : `${order.length} of ${samples.length} samples`;
+    by("count").value = order.length === samples.length ? `${ocnf.number(order.length, 0)} samples`
+      : `${ocnf.number(order.length, 0)} of ${ocnf.number(samples.length, 0)} samples`;
     by("nothing").hidden = order.length > 0 || samples.length === 0;
   }
 })();

@@ -4,9 +4,9 @@
 (() => {
   const { make, by } = ocnf;
   const STEPS = 65535; // of positions over the cube (geometry.py)
-  const ERROR_COLOURS = ["#ece9e2", "#f4d98f", "#ec9a4c", "#c63f33", "#5d1230"];
   const PLAIN = "#cbc5ba", INSIDE = "#a9714f", POINT = "#47688a", NO_ERROR = "#b9bcc0";
   const FIELD = 32; // degrees of the camera
+  const POINTS_ACROSS = 320; // points side by side fill the cube
   const FRONT = 0, BACK = 1, BOTH = 2; // sides of THREE's materials
   const AXES = ["x", "y", "z"];
 
@@ -86,9 +86,8 @@
     if (error) geometry.setAttribute("color", new THREE.BufferAttribute(errorColours(error), 3));
     const one = { shown, group: new THREE.Group(), error: Boolean(error), disposable: [geometry], lines: null, geometry };
     if (shown.kind === "points") {
-      const size = extent / 220;
-      one.plain = new THREE.PointsMaterial({ color: POINT, size });
-      one.coloured = error ? new THREE.PointsMaterial({ vertexColors: true, size }) : one.plain;
+      one.plain = new THREE.PointsMaterial({ color: POINT });
+      one.coloured = error ? new THREE.PointsMaterial({ vertexColors: true }) : one.plain;
       one.parts = [new THREE.Points(geometry, one.plain)];
     } else {
       geometry.setIndex(new THREE.BufferAttribute(found.arrays[`${at}/faces`].data, 1));
@@ -113,7 +112,7 @@
   }
 
   function errorColours(bytes) {
-    const ramp = ocnf.ramp(ERROR_COLOURS), colour = new THREE.Color();
+    const ramp = ocnf.ramp(ocnf.page.errorColours), colour = new THREE.Color();
     const table = Array.from({ length: 256 }, (_, value) => {
       const [r, g, b] = ramp(value / 255);
       return colour.setRGB(r / 255, g / 255, b / 255, "srgb").toArray();
@@ -227,7 +226,7 @@
     }
     const most = Math.round(error / voxel);
     const labels = Array.from({ length: most + 1 }, (_, n) => `${n}${n === most ? " and more" : ""}\n${ocnf.number(1000 * n * voxel)} mm`);
-    place.append(ocnf.scale(ERROR_COLOURS, labels), make("span", {}, coloured.length
+    place.append(ocnf.scale(ocnf.page.errorColours, labels), make("span", {}, coloured.length
       ? "Distance to the surface of the ground truth, in voxels and in millimetres. Grey: not compared."
       : "Nothing that is shown here has an error: choose another surface."));
   }
@@ -308,6 +307,11 @@
       camera.aspect = w / h;
       camera.fov = w < h ? (360 / Math.PI) * Math.atan(Math.tan((FIELD * Math.PI) / 360) * (h / w)) : FIELD;
       camera.updateProjectionMatrix();
+      // three.js takes the size of points for one in a field of 90 degrees over the whole canvas.
+      const spread = Math.tan((camera.fov * Math.PI) / 360) * (height / h);
+      for (const one of items.filter((each) => each.shown.kind === "points")) {
+        one.plain.size = one.coloured.size = ocnf.page.scale.extent / POINTS_ACROSS / spread;
+      }
       renderer.render(scene, camera);
     });
     camera.fov = FIELD;

@@ -77,6 +77,30 @@ def test_four_faces_at_an_edge_are_mended():
     assert volume(vertices, faces) > 0
 
 
+def test_windows_are_joined_without_a_seam():
+    """Noise over several windows of 64 voxels: mended across their sides too."""
+    values = np.random.default_rng(0).choice(np.float32([-1, -0.2, 0, 0.3, 1]), size=(1, 8, 136, 72))
+    vertices, faces = octree_surface(GridOctree.from_dense(values), 136.0)
+    assert is_watertight(faces)
+    assert len(np.unique(vertices, axis=0)) == len(vertices)
+    apart = np.sort(np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=-1), axis=None)
+    assert apart[-1] < 3**0.5 + 1e-6  # no face reaches out of its cell
+
+
+def test_only_the_trees_that_are_asked_for_are_cut():
+    x, y, z, _ = centres((72, 80, 136), 136.0)
+    distance = np.sqrt(x**2 + y**2 + z**2) - 30.2
+    octree = GridOctree.from_dense(np.clip(distance / 2, -1, 1).astype(np.float32)[None])
+    trees = np.zeros((9, 10, 17), bool)
+    trees[:, :, :8] = True
+    whole, faces = octree_surface(octree, 136.0)
+    part, part_faces = octree_surface(octree, 136.0, trees=trees)
+    inside = {tuple(np.round(c, 6).ravel()) for c in whole[faces] if c[:, 0].max() < -5}
+    found = {tuple(np.round(c, 6).ravel()) for c in part[part_faces]}
+    assert inside <= found and len(found) > 1000 and part[:, 0].max() < -2
+    assert octree_surface(octree, 136.0, trees=np.zeros_like(trees))[1].shape == (0, 3)
+
+
 def test_other_encodings_are_refused():
     with pytest.raises(OcnfError, match="10 channels"):
         octree_surface(GridOctree.from_dense(np.zeros((10, 8, 8, 8), np.float32)))

@@ -5,8 +5,10 @@ import pytest
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
+from ocnf_data.render import render_depth
 from ocnf_data.render.pictures import as_distance, busiest_plane, busiest_window, paint_squares, slice_cells
-from ocnf_data.render.shade import shade
+from ocnf_data.render.shade import shade, shade_view
+from ocnf_data.views.cameras import Views
 
 
 def ball(shape=(16, 24, 32), radius=6.0):
@@ -85,5 +87,24 @@ def test_orientation_does_not_matter_and_up_is_up():
     assert width[filled[0]] < width[filled[-1]]
 
 
+@pytest.mark.parametrize("supersample", [1, 3])
+def test_a_picture_from_a_camera_shows_what_the_camera_sees(supersample):
+    """Not square, the principal point off the centre."""
+    points, faces = triangulated_sphere()
+    K = np.array([[50.0, 0, 20], [0, 55.0, 30], [0, 0, 1]])
+    R, T = np.eye(3), np.array([0.3, -0.2, 3.0])
+    depth = render_depth(points, faces, K[None], R[None], T[None], (48, 64))[0]
+    camera = Views(np.zeros((1, 48, 64), np.float32), K, R[None], T[None])
+    image = shade_view(points, faces, camera, supersample=supersample)
+    assert image.shape == (48, 64, 3)
+    drawn = (image < 250).any(axis=-1)
+    off = drawn != np.isfinite(depth)
+    assert off.mean() < (1e-9 if supersample == 1 else 0.05) and 0.2 < drawn.mean() < 0.8
+    rows, columns = np.nonzero(np.isfinite(depth))
+    assert np.abs(np.argwhere(drawn).mean(axis=0) - [rows.mean(), columns.mean()]).max() < 0.2
+
+
 def test_no_faces_give_an_empty_picture():
+    camera = Views(np.zeros((1, 4, 6), np.float32), np.eye(3), np.eye(3)[None], np.zeros((1, 3)))
+    assert (shade_view(np.zeros((0, 3)), np.zeros((0, 3), int), camera) == 255).all()
     assert (shade(np.zeros((0, 3)), np.zeros((0, 3), int), size=16) == 255).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import shutil
 from collections.abc import Iterator
 from itertools import pairwise
@@ -104,6 +105,37 @@ def test_the_canvas_shows_the_sample_and_a_click_swaps_its_surface(tab: Tab) -> 
     mesh, truth = silhouette(shown["Mesh"]), silhouette(shown["Ground truth"])
     assert (mesh & truth).sum() / (mesh | truth).sum() > 0.6  # the same thing, from the same place
     assert tab.locator("canvas").count() - tab.locator(".side canvas").count() == 1
+
+
+def test_the_browser_unpacks_what_was_packed(tab: Tab, report_made: Any, read_page: Any) -> None:
+    page, sample = read_page(report_made.page)
+    for number in range(len(page["samples"])):
+        arrays, meta = sample(number)
+        found = tab.evaluate(
+            "number => ocnf.load(number).then(({ arrays, meta }) => [meta, Object.fromEntries("
+            "Object.entries(arrays).map(([name, one]) => [name, Array.from(one.data)]))])", number)
+        assert found[0] == meta and found[1].keys() == arrays.keys()
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(found[1][name], array.reshape(-1), err_msg=name)
+
+
+@pytest.mark.parametrize("key", ["chair-a", "mug-b"])
+def test_the_first_view_is_that_of_the_thumbnail(tab: Tab, report_made: Any, read_page: Any,
+                                                 key: str) -> None:
+    """Two ways to draw one mesh: the silhouettes, each cut out and brought to the same size, agree."""
+    page, _ = read_page(report_made.page)
+    [encoded] = [row["thumbnail"] for row in page["samples"] if row["key"] == key]
+    thumbnail = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR) / 255
+    open_sample(tab, key)
+    tab.click("[data-surface='Mesh']")
+    cut = []
+    for image in (thumbnail, picture(tab)):
+        mask = silhouette(image)
+        rows, columns = (np.flatnonzero(mask.any(axis=axis))[[0, -1]] for axis in (1, 0))
+        part = mask[rows[0] : rows[1] + 1, columns[0] : columns[1] + 1]
+        cut.append((part.shape[0] / part.shape[1], cv2.resize(part.astype(np.uint8), (96, 96)) > 0))
+    assert abs(np.log(cut[0][0] / cut[1][0])) < 0.08
+    assert (cut[0][1] & cut[1][1]).sum() / (cut[0][1] | cut[1][1]).sum() > 0.85
 
 
 def test_turning_zooming_and_resetting(tab: Tab) -> None:

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocnf_data import Views, fuse_tsdf
+from ocnf_data import GridOctree, Views, fuse_tsdf
 from ocnf_data.errors import OcnfError
+from ocnf_data.octree.surface import octree_surface
 from ocnf_data.sequences.cube import box_of_cube, into_cube, object_box, placed
 from ocnf_data.sequences.known import known_surface
 from ocnf_data.views.scans import read_scan
@@ -78,8 +79,20 @@ def test_the_known_surface_is_the_scene_without_walls_around_the_unknown(scans: 
     voxel = 3.0 / 64 / place.scale
     assert len(faces) > 500 and faces.max() < len(vertices)
     assert (off < 1.5 * voxel).mean() > 0.9  # the rest: silhouettes, where free meets known
-    from ocnf_data.octree.surface import octree_surface
     whole = place.invert(octree_surface(tsdf, 3.0)[0])
     closed = np.minimum(np.abs(np.linalg.norm(whole - BALL, axis=1) - RADIUS),
                         np.abs(np.minimum(whole - ROOM[0], ROOM[1] - whole).min(axis=1)))
     assert (closed < 1.5 * voxel).mean() < 0.8
+
+
+def test_what_is_known_may_be_said_by_another_volume() -> None:
+    """A ball that a network completes, of which the reference knows the half with x > 0 alone."""
+    axis = (np.arange(32) + 0.5) / 32 - 0.5
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    ball = np.clip((np.sqrt(x**2 + y**2 + z**2) - 0.3) * 15, -0.99, 1).astype(np.float32)
+    half = np.where(x > 0, ball, -1).astype(np.float32)
+    whole, known = (GridOctree.from_dense(field[None], 0.0) for field in (ball, half))
+    vertices, faces = known_surface(whole, 1.0, known)
+    assert len(faces) > 100 and vertices[:, 0].min() >= 0
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.3, atol=0.02)
+    assert len(known_surface(whole, 1.0)[0]) == len(octree_surface(whole, 1.0)[0])

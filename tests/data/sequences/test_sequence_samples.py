@@ -151,6 +151,22 @@ def test_a_changed_scan_is_refused_on_resume(scans: Path, tmp_path: Path, name: 
         assert generate(manifest, tmp_path / "set", root, progress=False).made == 0
 
 
+def test_frames_that_are_left_out_and_poses_that_look_wrong_are_said(scans: Path, tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    write_scan(root / "long", 12)
+    lost = root / "long" / "frame-000002.pose.txt"
+    np.savetxt(lost, np.full((4, 4), np.nan))
+    manifest = sequence_manifest(configurations={"test": 1})
+    report = generate(manifest, tmp_path / "set", root, progress=False)
+    assert report.warnings == ("long: frame-000002: the pose is not known (NaN or infinite), left out",)
+    sample = samples(tmp_path / "set")["long-test-0000"]
+    assert sample.facts["scan"]["frames"] == 11
+    turned = sequence_manifest(configurations={"test": 1},
+                               reading={"depth_scale": 10_000, "poses": "world-to-camera"})
+    report = generate(turned, tmp_path / "turned", scans, progress=False)
+    assert any("the other way round" in warning for warning in report.warnings)
+
+
 def test_too_few_frames_for_disjoint_subsets_are_refused_before_anything_is_made(
         scans: Path, tmp_path: Path) -> None:
     manifest = sequence_manifest(scans=["long", "short"], configurations={"test": 3})

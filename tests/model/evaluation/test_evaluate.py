@@ -73,6 +73,8 @@ def test_every_figure_equals_the_dense_one(evaluation: Evaluation, network: OctN
         truth = members(row.key, f"target-{row.resolution}").to_dense()[0]
         tau = 3 * 32 / 15 / row.resolution
         found = row.mad_mm, row.iou, row.precision, row.recall
+        known = np.abs(np.clip(predicted, -1, 1) - truth)[truth > -1].mean() * 1000 * tau
+        assert row.known_mm == pytest.approx(known, rel=1e-3)
         near = 1e-3 if row.method == "VolFus*" else 1e-6  # rounding decides where the mean is about 0
         np.testing.assert_allclose(found, dense_figures(predicted, truth, tau), rtol=near, atol=near)
         met.add((row.key, row.variant, row.resolution, row.method))

@@ -37,10 +37,10 @@ class Shown(NamedTuple):
 @pytest.fixture(scope="module")
 def shown(tiny: str, network: OctNetFusion, tmp_path_factory: pytest.TempPathFactory,
           read_page: Callable) -> Shown:
-    """Two models, two variants, three methods."""
+    """A model, two variants, three methods."""
     path = tmp_path_factory.mktemp("page") / "page.html"
-    page = EvaluationPage(path, tiny, "test", None, "z")
-    found = evaluate(network, tiny, page=page)
+    page = EvaluationPage(path, tiny, "test", None, "z", triangles=10**6)
+    found = evaluate(network, tiny, page=page, limit=1)
     assert page.finish(found.title, found.summaries, found.ceilings, found.notes) == [path]
     return Shown(found, path, *read_page(path))
 
@@ -66,7 +66,6 @@ def test_every_model_of_every_variant_has_its_figures(shown: Shown) -> None:
 
 def test_surfaces_are_those_of_the_methods(shown: Shown, network: OctNetFusion,
                                            members: Callable[[str, str], GridOctree]) -> None:
-    """As far as they are not simplified; with the ground truth beside them."""
     compared = 0
     for number, sample in enumerate(shown.page["samples"]):
         key, variant = sample["key"][:-1].split(" (")
@@ -87,13 +86,14 @@ def test_surfaces_are_those_of_the_methods(shown: Shown, network: OctNetFusion,
             octree = octree.with_data(octree.data.clip(-1, 1))
             vertices, faces = octree_surface(octree, EXTENT)
             assert meta["shown"][at]["of"] == len(faces)
-            if 0 < len(faces) <= 20_000:
-                found = (arrays[f"surface{at}/positions"] / 65535 - 0.5) * EXTENT
-                used = vertices[np.unique(faces)]
-                assert len(found) == len(used) and len(arrays[f"surface{at}/faces"]) == len(faces)
+            assert len(arrays[f"surface{at}/faces"]) == len(faces)
+            found = (arrays[f"surface{at}/positions"] / 65535 - 0.5) * EXTENT
+            used = vertices[np.unique(faces)] if len(faces) else vertices
+            assert len(found) == len(used) and (len(used) > 0 or name == "Ours")
+            if len(used):
                 assert cKDTree(used).query(found)[0].max() < EXTENT / 65535
-                compared += 1
-    assert compared >= 6, compared
+            compared += 1
+    assert compared == 4 + 3
 
 
 def test_tables_are_the_means(shown: Shown) -> None:
@@ -144,7 +144,7 @@ def test_it_opens_and_swaps_all_methods(shown: Shown, browser: Browser) -> None:
     tab.goto(shown.path.as_uri())
     assert tab.is_visible("#split") and tab.inner_text("#group") == "Input"
     tab.select_option("#split", "v4")
-    assert tab.locator(".card").count() == 2
+    assert tab.locator(".card").count() == 1
     tab.click(".card >> nth=0")
     tab.wait_for_selector("html[data-sample]")
     assert tab.locator("[data-surface]").all_inner_texts() == [

@@ -9,6 +9,8 @@ import pytest
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.generation import generate
+from ocnf_data.manifest import Manifest
 from ocnf_model import OctNetFusion
 from ocnf_model.checkpoint import Architecture, Header, TrainingData, save_checkpoint
 from ocnf_model.evaluation.run import run_evaluate
@@ -57,3 +59,23 @@ def test_fusing_with_a_run(scan: Path, tmp_path: Path) -> None:
     with pytest.raises(OcnfError, match="no surface was found"):
         run_fuse(str(scan), Asked(out, str(run), device="cpu"))
     assert not out.exists()
+
+
+def test_a_data_set_of_scans_is_evaluated_on_what_its_frames_know(scan: Path, tmp_path: Path) -> None:
+    """VolFus agrees with the reference where no frame has looked; what is free everywhere does not."""
+    manifest = Manifest.from_dict({
+        "name": "scans", "resolutions": [32],
+        "source": {"kind": "sequence", "scans": [scan.name], "configurations": {"test": 2}},
+        "inputs": [{"name": "v6", "views": 6, "encodings": ["histogram", "tsdf"]}]})
+    assert generate(manifest, tmp_path / "set", scan.parent, progress=False).samples == 2
+    run = make_run(tmp_path / "run")
+    found = run_evaluate(str(run), str(tmp_path / "set"), methods=["volfus", "ours"], n_figures=0,
+                         device="cpu", console=Console(quiet=True), meshes=scan.parent)
+    assert len(found.rows) == 4
+    for row in found.rows:
+        if row.method == "VolFus":
+            assert row.regions.unseen_inside < 1e-3 * row.mad_mm < 1e-3 * row.known_mm
+        else:
+            assert row.regions.unseen_inside > 0.4 * row.mad_mm > 0.4 * row.known_mm
+    text = (run / "evaluation" / "test" / "evaluation.md").read_text()
+    assert all(f"{one.known_mm:.3f}" in text for one in found.summaries)

@@ -154,6 +154,7 @@ def _linear(colour: list[int]) -> list[int]:
     ({"out": Path("mesh.jpg")}, "cannot be written in this format; found .jpg, expected .ply, .obj, .glb"),
     ({"out": Path("mesh")}, "found no suffix"),
     ({"out": None}, "nothing to make"),
+    ({"out": None, "preview": Path("a.png"), "tsdf": Path("a.oc")}, "without a mesh to write"),
     ({"out": Path("/proc/mesh.ply")}, "/proc/mesh.ply"),
     ({"tsdf": Path("tsdf.vdb")}, r"expected .npz, .oc"),
     ({"picture": Path("picture.jpg")}, "expected .png"),
@@ -178,12 +179,17 @@ def test_what_cannot_be_fused_is_said_and_nothing_written(scan: Path, tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-def test_bad_input(scan: Path, tmp_path: Path) -> None:
+def test_bad_input(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OcnfError, match="no such scan"):
         run_fuse(str(tmp_path / "none"), Asked(tmp_path / "mesh.ply", methods=["volfus"]))
     with pytest.raises(OcnfError, match="is a folder"):
         (tmp_path / "folder.ply").mkdir()
         run_fuse(str(scan), Asked(tmp_path / "folder.ply", methods=["volfus"]))
+    with monkeypatch.context() as patched, pytest.raises(OcnfError, match=r"old\.ply: the file is read-only"):
+        (tmp_path / "old.ply").write_text("kept")
+        patched.setattr("os.access", lambda *_: False)  # whoever runs the tests, who may be root
+        run_fuse(str(scan), Asked(tmp_path / "old.ply", methods=["volfus"]))
+    assert (tmp_path / "old.ply").read_text() == "kept"
     blank = read_scan(scan)
     with pytest.raises(OcnfError, match="nothing was measured"):
         largest_object(blank.views.with_depth(np.zeros_like(blank.views.depth)))

@@ -51,6 +51,19 @@ def test_bare_views_are_a_scan_too(scan: Path, pretrained: TrainedNetwork) -> No
     np.testing.assert_array_equal(from_views.faces, from_scan.faces)
 
 
+def test_what_the_command_line_takes_python_does(scan: Path, pretrained: TrainedNetwork,
+                                                 tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    found = pretrained.fuse(read_scan(scan, every=3), box=BOX, voxel=0.0105, resolution=64, faces=1000,
+                            max_depth=3.0, report=lambda *done: told.append(done))
+    assert told == [(1, 1)] and found.voxel == pytest.approx(0.0105) and 500 < len(found.faces) <= 1000
+    off = np.abs(np.linalg.norm(found.vertices - CENTRE, axis=1) - RADIUS)
+    assert np.median(off) < 0.0105
+    found.save(tmp_path / "mesh.glb")
+    with pytest.raises(OcnfError, match="cannot both be fused"):
+        pretrained.fuse(read_scan(scan, every=12), box=BOX, room=True)
+
+
 def test_it_says_what_it_was_trained_on(pretrained: TrainedNetwork) -> None:
     assert pretrained.resolutions == [64, 128, 256]
     assert [header.level for header in pretrained.headers] == [1, 2, 3]

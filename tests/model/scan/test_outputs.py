@@ -1,0 +1,150 @@
+"""The files that `fuse` writes, and the lines that it says."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from rich.console import Console
+
+from ocnf_data import GridOctree, octree_surface
+from ocnf_data.errors import OcnfError
+from ocnf_data.views.scans import read_scan
+from ocnf_model.scan.run import Asked, run_fuse
+from ocnf_model.scan.stages import StageLog
+
+ROOT = Path(__file__).parents[3]
+BOX = (0.47, -1.43, 2.27, 0.93, -0.97, 2.73)  # around the sphere of conftest.py
+
+
+def fuse(scan: Path, out: Path | None, **asked: object) -> str:
+    """What is printed."""
+    console = Console(file=io.StringIO(), width=400)
+    run_fuse(str(scan), Asked(out, **{"methods": ["volfus"], "box": BOX, "resolution": 32, **asked}), console)
+    return console.file.getvalue()
+
+
+def test_several_methods_each_have_their_files_and_one_picture(scan: Path, tmp_path: Path) -> None:
+    said = fuse(scan, tmp_path / "mesh.ply", methods=["tvl1,volfus", "volfus"], picture=tmp_path / "all.png",
+                tsdf=tmp_path / "tsdf.npz", preview=tmp_path / "box.png", reading={"frames": 8})
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["all.png", "box.png", "mesh-tvl1.ply", "mesh-volfus.ply", "tsdf-tvl1.npz",
+                     "tsdf-volfus.npz"]
+    assert all(len(trimesh.load(tmp_path / f"mesh-{name}.ply").faces) > 1000 for name in ("tvl1", "volfus"))
+    picture = cv2.imread(str(tmp_path / "all.png"))
+    half = picture.shape[1] // 2
+    for part in (picture[:, :half], picture[:, half:]):  # clay in both columns
+        assert ((part.max(axis=-1) < 230) & (part.min(axis=-1) > 60)).mean() > 0.05
+    for name in ("VolFus", "TV-L1", "marching cubes", "loose part"):
+        assert name in said
+
+
+def test_the_preview_alone_needs_no_mesh_and_fuses_nothing(scan: Path, tmp_path: Path) -> None:
+    said = fuse(scan, None, preview=tmp_path / "box.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["box.png"] and "marching" not in said
+    red = (cv2.imread(str(tmp_path / "box.png")).astype(int) - (0x21, 0x12, 0xC1))  # the box, three times
+    assert (np.abs(red).max(axis=-1) < 12).sum() > 500
+
+
+@pytest.mark.parametrize("voxel", [None, 0.02])
+def test_a_tsdf_file_says_where_it_lies(scan: Path, tmp_path: Path, voxel: float | None) -> None:
+    """Marching cubes of what is in the file, at the places in the file, gives the sphere."""
+    for suffix in ("npz", "oc"):
+        fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / f"tsdf.{suffix}", voxel=voxel)
+    with np.load(tmp_path / "tsdf.npz") as file:
+        stored = dict(file)
+    octree = GridOctree.read_oc(tmp_path / "tsdf.oc")
+    placing = json.loads((tmp_path / "tsdf.json").read_text())
+    np.testing.assert_array_equal(octree.to_dense()[0], stored["tsdf"])
+    assert tuple(placing["shape"]) == stored["tsdf"].shape
+    for name in ("first", "voxel", "truncation"):
+        np.testing.assert_array_equal(placing[name], stored[name])
+    z, y, x = np.indices(octree.shape)
+    at = placing["first"] + placing["voxel"] * np.stack([x, y, z], -1)
+    distance = np.linalg.norm(at - (0.7, -1.2, 2.5), axis=-1) - 0.2
+    near = (np.abs(distance) < placing["truncation"] / 2)
+    np.testing.assert_allclose((stored["tsdf"] * placing["truncation"])[near], distance[near],
+                               atol=1.2 * placing["voxel"])
+    middle = np.add(placing["first"], placing["voxel"] * (np.array(octree.shape[::-1]) - 1) / 2)
+    vertices, _ = octree_surface(octree, placing["voxel"] * max(octree.shape), centre=tuple(middle))
+    mesh = trimesh.load(tmp_path / "mesh.ply")
+    assert {tuple(np.round(v, 9)) for v in mesh.vertices} <= {tuple(np.round(v, 9)) for v in vertices}
+
+
+def test_a_write_that_fails_leaves_nothing_behind(scan: Path, tmp_path: Path,
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> bytes:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OcnfError, match="the disk is full"):
+        fuse(scan, tmp_path / "mesh.ply")
+    assert not list(tmp_path.iterdir())
+
+
+def test_times_of_stages_add_up_to_the_clock() -> None:
+    console = Console(file=io.StringIO(), width=100)
+    began = time.perf_counter()
+    log = StageLog(console, began)
+    for name in ("one", "two"):
+        time.sleep(0.05)  # between stages: belongs to the next
+        with log.stage(name) as line:
+            time.sleep(0.05)
+            line.say(f"the {name}")
+    assert log.total == pytest.approx(time.perf_counter() - began, abs=0.02)
+    assert sum(seconds for _, seconds in log.seconds) == pytest.approx(log.total, abs=1e-6)
+    assert all(0.09 < seconds < 0.3 for _, seconds in log.seconds)
+    lines = console.file.getvalue().splitlines()
+    assert [line.split()[-1] for line in lines] == ["one", "two"] and lines[0].startswith("one")
+
+
+def test_the_first_line_comes_before_anything_heavy_is_loaded_and_the_times_are_the_clocks(
+        scan: Path, tmp_path: Path) -> None:
+    began = time.perf_counter()
+    command = [sys.executable, "-m", "ocnf_model.cli", "fuse", "pretrained", str(scan), "--method", "volfus",
+               "--out", str(tmp_path / "mesh.glb"), "--resolution", "32"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    blocked = "import sys; sys.modules['torch'] = None; from ocnf_model.cli import main; main()"
+    early = subprocess.run([sys.executable, "-c", blocked, *command[3:]], capture_output=True, text=True,
+                           env=environment, check=False)
+    assert early.stdout.startswith(f"fusing {scan}")
+    began = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    wall = time.perf_counter() - began
+    lines = [line.split() for line in done.stdout.splitlines()]
+    times = [float(words[1]) for words in lines if len(words) > 2 and words[2] == "s"]
+    assert [words[0] for words in lines[1:-1]] == ["start", "read", "region", "fuse", "surface", "clean",
+                                                   "write"]
+    total = float(done.stdout.split(" s in all")[0].split()[-1])
+    assert sum(times) == pytest.approx(total, abs=0.06 * len(times))
+    assert 0.4 * wall < total < wall  # Python's own start and end are not in it
+
+
+def test_a_second_box_is_refused(scan: Path, tmp_path: Path) -> None:
+    boxes = ["--box", *map(str, BOX)] * 2
+    done = subprocess.run([sys.executable, "-m", "ocnf_model.cli", "fuse", "pretrained", str(scan), *boxes,
+                           "--out", str(tmp_path / "mesh.ply")], capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: --box: given more than once; found 2 boxes")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_lies_far_is_not_used_where_that_is_asked(scan: Path) -> None:
+    from ocnf_model.scan.frames import limit_depth
+
+    read = read_scan(scan, every=6)
+    depth = read.views.depth
+    near = limit_depth(read, 1.5).views.depth
+    assert near.max() <= 1.5 < depth.max()
+    np.testing.assert_array_equal(near, np.where(depth > 1.5, 0, depth))
+    assert limit_depth(read, None) is read
