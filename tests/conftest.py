@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import shutil
+import signal
 import uuid
 import zlib
 from collections.abc import Callable, Iterator
@@ -19,6 +20,12 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 Decoded = tuple[dict[str, np.ndarray], dict[str, Any]]
+
+
+def pytest_configure() -> None:
+    """Let the commands that tests start be interrupted, though a shell's background jobs ignore Ctrl-C."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
