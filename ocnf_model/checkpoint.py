@@ -29,7 +29,10 @@ from ocnf_model.tensorfile import TensorKind, read_header, read_kinds, read_tens
 
 CHECKPOINT_SCHEMA: Final = 1
 PRETRAINED: Final = "pretrained"
-_PRETRAINED_FOLDER = Path(__file__).parent / PRETRAINED
+PRETRAINED_SCAN: Final = "pretrained-scan"
+SHIPPED: Final = {PRETRAINED: Path(__file__).parent / "pretrained",
+                  PRETRAINED_SCAN: Path(__file__).parent / "pretrained" / "scan"}
+"""Names of the networks that come with the package, and their folders."""
 
 MAX_CHANNELS: Final = 4096
 MAX_COUNT: Final = 2**53
@@ -174,7 +177,7 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
     """
     path = checkpoint_path(folder, level + 1)
     # What comes with the package is checked by what installs it.
-    weights, fields = read_tensors(path, note=folder != _PRETRAINED_FOLDER)
+    weights, fields = read_tensors(path, note=folder not in SHIPPED.values())
     header = parse_header(path, fields)
     if header.level != level + 1:
         raise _misfit(path, "level", header.level, level + 1)
@@ -196,7 +199,7 @@ def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
     """The best checkpoint of every level that has one.
 
     Args:
-        path: a run's folder, or `pretrained`.
+        path: a run's folder, `pretrained` or `pretrained-scan`.
         levels: number of levels that are needed; None takes all that exist.
 
     Raises:
@@ -230,8 +233,8 @@ def load_run(path: str | Path, levels: int | None = None) -> OctNetFusion:
 
 
 def run_path(path: str | Path) -> Path:
-    """The folder of a run, existing or not; for `pretrained`, the checkpoints that come with the package."""
-    return _PRETRAINED_FOLDER if str(path) == PRETRAINED else Path(path).expanduser()
+    """The folder of a run, existing or not; for a name of `SHIPPED`, the checkpoints that come along."""
+    return SHIPPED.get(str(path)) or Path(path).expanduser()
 
 
 def run_folder(path: str | Path) -> Path:
@@ -241,12 +244,12 @@ def run_folder(path: str | Path) -> Path:
         OcnfError: there is no such folder.
     """
     folder = run_path(path)
-    if str(path) != PRETRAINED:
+    if str(path) not in SHIPPED:
         if not folder.is_dir():
             raise OcnfError("no such run", code="missing", where=folder,
-                            expected=f"a folder made by `ocnf-model train`, or {PRETRAINED}")
+                            expected=f"a folder made by `ocnf-model train`, {' or '.join(SHIPPED)}")
     elif not checkpoint_path(folder, 1).is_file():
-        raise OcnfError("this version comes without pretrained weights", code="missing", where=PRETRAINED,
+        raise OcnfError("this version comes without pretrained weights", code="missing", where=path,
                         fix="train some: ocnf-model train DATA --out RUN")
     return folder
 

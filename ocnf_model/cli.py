@@ -30,7 +30,7 @@ _err = Console(stderr=True, emoji=False)
 _debug = False
 
 
-Run = Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, or `pretrained`.")]
+Run = Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, `pretrained` or `pretrained-scan`.")]
 Training = Annotated[str, typer.Argument(
     metavar="DATA", help="A data set, a folder or an fsspec URL; or a manifest (.yaml), whose samples are "
                          "made as they are needed.")]

@@ -23,6 +23,7 @@ PAGES: Final = {
     "CHANGELOG.md": "changelog.md",
     "ocnf_model/pretrained/README.md": "pretrained.md",
     "ocnf_model/pretrained/completion/README.md": "pretrained-completion.md",
+    "ocnf_model/pretrained/scan/README.md": "pretrained-scan.md",
 }
 _LINK = re.compile(r"(\]\()([^)#:]+)([)#])")
 # What a browser fetches by itself; an <a href> waits for a click.

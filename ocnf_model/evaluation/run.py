@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ocnf_data.files.storage import Store
-from ocnf_model.checkpoint import PRETRAINED, open_run, run_path
+from ocnf_model.checkpoint import SHIPPED, open_run, run_path
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.figure import caption, draw_surfaces
 from ocnf_model.evaluation.measure import TRUTH, Bench, MeshArrays, Row, Weight, level_resolutions
@@ -109,7 +109,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         network, resolutions = trained.network.to(pick_device(device)), trained.resolutions
     if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
         weights = kept
-    if out is None and run != PRETRAINED and run_path(run).is_dir():
+    if out is None and run not in SHIPPED and run_path(run).is_dir():
         out = run_path(run) / "evaluation" / split
     found = evaluate(network, data, resolutions=resolutions, split=split, methods=methods, weights=weights,
                      limit=limit, n_figures=n_figures if out is not None else 0, up=up, console=console,

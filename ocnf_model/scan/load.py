@@ -88,7 +88,8 @@ def load_network(run: str | os.PathLike[str] = PRETRAINED, *, device: str = "aut
     """The trained network of a run.
 
     Args:
-        run: a folder that `ocnf-model train` left, or `pretrained`: the weights that come with the package.
+        run: a folder that `ocnf-model train` left, or one of the networks that come with the package:
+            `pretrained`, `pretrained-scan`.
         device: `auto` (a GPU where there is one), `cpu`, `cuda`, `cuda:1`.
 
     Raises:

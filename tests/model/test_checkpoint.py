@@ -16,6 +16,7 @@ import torch
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import (
+    SHIPPED,
     Architecture,
     Header,
     TrainingData,
@@ -231,8 +232,8 @@ def test_data_that_means_something_else_is_refused(folder) -> None:
 
 
 def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, tmp_path) -> None:
-    monkeypatch.setattr("ocnf_model.checkpoint._PRETRAINED_FOLDER", folder)
+    monkeypatch.setitem(SHIPPED, "pretrained", folder)
     assert len(load_run("pretrained").levels) == 2
-    monkeypatch.setattr("ocnf_model.checkpoint._PRETRAINED_FOLDER", tmp_path)
+    monkeypatch.setitem(SHIPPED, "pretrained", tmp_path)
     with pytest.raises(OcnfError, match=r"without pretrained weights.*ocnf-model train"):
         load_run("pretrained")

@@ -12,7 +12,7 @@ from ocnf_data import generate
 from ocnf_data.manifest import Manifest
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
-from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS
+from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS, Method
 from ocnf_model.evaluation.run import run_evaluate
 from ocnf_model.evaluation.summary import ALL
 from ocnf_model.evaluation.weights import read_weights
@@ -60,3 +60,26 @@ def test_better_than_both_baselines_on_shapes_it_never_saw(tmp_path: Path) -> No
     for resolution in (64, 128):
         assert mads[resolution, "Ours"] < 0.8 * mads[resolution, "VolFus"]
         assert mads[resolution, "Ours"] < mads[resolution, "TV-L1"]
+
+
+def test_the_network_for_scans_shares_the_first_levels_and_its_card_has_its_figures() -> None:
+    plain, scan = open_run("pretrained"), open_run("pretrained-scan")
+    assert scan.resolutions == plain.resolutions and scan.headers[:2] == plain.headers[:2]
+    header, card = scan.headers[2], (FOLDER / "scan" / "README.md").read_text()
+    assert header.data.name == "scan"
+    assert f"epoch {header.epoch}, {header.steps:,} steps, MAD {header.metrics['mad_mm']:.4f} mm" in card
+
+
+@pytest.mark.slow
+def test_on_clean_depth_the_network_for_scans_lies_nearer_to_the_surface(tmp_path: Path) -> None:
+    data = tmp_path / "set"
+    generate(Manifest.from_dict({
+        "schema": 1, "name": "clean", "seed": 5, "resolutions": [64, 128, 256],
+        "source": {"kind": "shapes", "categories": ["table"], "counts": {"test": 1}},
+        "inputs": [{"name": "v12_n00", "views": 12, "sigma": 0.0, "encodings": ["histogram", "tsdf"]}],
+    }), data, jobs=1, progress=False)
+    scores = {}
+    for name in ("pretrained", "pretrained-scan"):
+        found = run_evaluate(name, str(data), methods=(Method.OURS,), n_figures=0)
+        scores[name] = next(one for one in found.summaries if one.category == ALL and one.resolution == 256)
+    assert scores["pretrained-scan"].mad_mm < 0.9 * scores["pretrained"].mad_mm
