@@ -228,7 +228,7 @@ def test_the_gallery_is_filtered_and_sorted(tab: Tab, report_made: Any, read_pag
     for column, heading in enumerate(page["columns"]):
         tab.select_option("#sort", str(column))
         ascending = [row["key"] for row in sorted(page["samples"], key=lambda row: row["values"][column])]
-        assert keys() == ascending and heading["label"] in tab.inner_text(".card .value >> nth=0")
+        assert keys() == ascending and heading["label"] in (tab.text_content(".card .value >> nth=0") or "")
         tab.check("#descending")
         assert keys() == ascending[::-1]
         tab.uncheck("#descending")
