@@ -63,6 +63,11 @@ Round it to the next one.
             text += f". {self.fix[:1].upper()}{self.fix[1:]}."
         return text
 
+    def replaced(self, **parts: Any) -> OcnfError:
+        """The same error with other parts, by the names of the constructor's arguments."""
+        own = {name: getattr(self, name) for name in ("code", "where", "field", "found", "expected", "fix")}
+        return OcnfError(self.what, **{**own, **parts})
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Keep every part when the error crosses a process boundary (pickle would call `cls(message)`)."""
         state = (self.what, self.code, self.where, self.field, self.found, self.expected, self.fix)

@@ -10,9 +10,12 @@ import numpy as np
 from ocnf_data.arrays import F32
 from ocnf_data.encodings import Encoding
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
+from ocnf_data.generation.records import Stages
 from ocnf_data.manifest import Manifest, Target, Variant
 from ocnf_data.octree import GridOctree
+from ocnf_data.octree.codec import encode
 from ocnf_data.octree.occupied import occupied
+from ocnf_data.shards.tarformat import input_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
 from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
@@ -69,6 +72,42 @@ class Noise:
         if view not in self._drawn:
             self._drawn[view] = view_noise(self._seed, self._key, view, self._size)
         return self._drawn[view]
+
+
+class SampleOctrees:
+    """The encoded octrees of one sample, in the order in which they are added.
+
+    Args:
+        manifest: the manifest of the data set.
+        stages: records each stage and its time.
+
+    Attributes:
+        members: payload by member name.
+        leaf_counts: leaves by member name.
+    """
+
+    def __init__(self, manifest: Manifest, stages: Stages) -> None:
+        self._manifest, self._stages = manifest, stages
+        self.members: dict[str, bytes] = {}
+        self.leaf_counts: dict[str, int] = {}
+
+    def add(self, name: str, octree: GridOctree, kind: Encoding | str) -> None:
+        """Encode an octree under a member's name."""
+        with self._stages("encode"):
+            self.members[name] = encode(octree, kind)
+        self.leaf_counts[name] = octree.n_leaves
+
+    def add_inputs(self, variant: Variant, seen: Views, indices: Sequence[int], noise: Noise) -> None:
+        """Fuse an input in all its encodings at all resolutions; arguments as for `observe`."""
+        with self._stages("noise"):
+            noisy = observe(seen, indices, variant, noise)
+        with self._stages("pyramid"):
+            pyramid = DepthPyramid(noisy)
+        for encoding in variant.encodings:
+            for resolution in self._manifest.resolutions:
+                with self._stages("fuse inputs"):
+                    octree = fuse_input(self._manifest, pyramid, encoding, resolution)
+                self.add(input_member(variant.name, encoding, resolution), octree, encoding)
 
 
 def noise_facts(variant: Variant) -> dict[str, Any]:

@@ -14,23 +14,20 @@ from typing import Any
 import numpy as np
 
 from ocnf_data.arrays import F64
-from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.generation.fingerprint import view_fingerprint
-from ocnf_data.generation.inputs import Noise, fuse_input, fuse_truth, noise_facts, observe
+from ocnf_data.generation.inputs import Noise, SampleOctrees, fuse_truth, noise_facts
 from ocnf_data.generation.procedural import make_procedural
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.generation.sequences import make_sequence_sample
 from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.meshes import Mesh, Normalisation, normalise, read_mesh
-from ocnf_data.octree import GridOctree
-from ocnf_data.octree.codec import encode
 from ocnf_data.render import render_depth
 from ocnf_data.render.clearance import clearance
-from ocnf_data.shards.tarformat import JSON, input_member, target_member
+from ocnf_data.shards.tarformat import JSON, target_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.rigs import look_from, rig_from_name
 from ocnf_data.views.store import KeptViews, ViewStore
@@ -88,34 +85,19 @@ def make_sample(
     if not hit.any():
         raise OcnfError("no camera sees any of the mesh", code="invisible", where=item.source)
 
-    members: dict[str, bytes] = {}
-    leaf_counts: dict[str, int] = {}
-
-    def add(name: str, octree: GridOctree, kind: Encoding | str) -> None:
-        with stages("encode"):
-            members[name] = encode(octree, kind)
-        leaf_counts[name] = octree.n_leaves
-
+    octrees = SampleOctrees(manifest, stages)
     with stages("pyramid"):
         pyramid = DepthPyramid(views)
     for resolution in manifest.resolutions:
         with stages("fuse target"):
             truth = fuse_truth(manifest, pyramid, resolution)
-        add(target_member(resolution), truth, "target")
+        octrees.add(target_member(resolution), truth, "target")
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
-        with stages("noise"):
-            indices = manifest.view_indices(variant)
-            seen = observe(views.subset(indices), indices, variant, noise)
-        with stages("pyramid"):
-            pyramid = DepthPyramid(seen)
-        for encoding in variant.encodings:
-            for resolution in manifest.resolutions:
-                with stages("fuse inputs"):
-                    octree = fuse_input(manifest, pyramid, encoding, resolution)
-                add(input_member(variant.name, encoding, resolution), octree, encoding)
-    facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), leaf_counts)
-    return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
+        indices = manifest.view_indices(variant)
+        octrees.add_inputs(variant, views.subset(indices), indices, noise)
+    facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), octrees.leaf_counts)
+    return Sample(item.key, {JSON: canonical_json(facts), **octrees.members}, stages.seconds)
 
 
 def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | None) -> Mesh:
@@ -131,8 +113,7 @@ def read_item(manifest: Manifest, item: Item, meshes: str | os.PathLike[str] | N
         mesh = read_mesh(Path(meshes) / item.source, manifest.limits.max_bytes, manifest.limits.max_faces)
     except OcnfError as error:
         # Where the meshes lie is no part of the data set: its bytes name them as the manifest does.
-        raise OcnfError(error.what, code=error.code, where=item.source, field=error.field, found=error.found,
-                        expected=error.expected, fix=error.fix) from error
+        raise error.replaced(where=item.source) from error
     if item.sha256 is not None and mesh.sha256 != item.sha256:
         raise OcnfError("the file has changed since the plan was made", code="changed", where=item.source,
                         found=f"sha256 {mesh.sha256}", expected=item.sha256)

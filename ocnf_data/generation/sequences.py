@@ -26,16 +26,15 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.generation.fingerprint import view_fingerprint
-from ocnf_data.generation.inputs import Noise, as_target, fuse_input, noise_facts, observe
+from ocnf_data.generation.inputs import Noise, SampleOctrees, as_target, fuse_input, noise_facts
 from ocnf_data.generation.procedural import scan_of_configuration
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
-from ocnf_data.octree.codec import encode
 from ocnf_data.sequences.cube import box_of_cube, into_cube, looks_into, object_box, placed
 from ocnf_data.sequences.frames import FrameSequence
-from ocnf_data.shards.tarformat import JSON, input_member, target_member
+from ocnf_data.shards.tarformat import JSON, target_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.normalisation import Normalisation
 from ocnf_data.views.scans import Scan
@@ -88,9 +87,8 @@ def make_sequence_sample(manifest: Manifest, source: SequenceSource, item: Item,
         return _make(manifest, source, item, Path(root), keep, stages)
     except OcnfError as error:
         # Where the scans lie is no part of the data set: its bytes name them as the manifest does.
-        raise OcnfError(error.what, code=error.code, where=_below(error.where, Path(root)) or item.source,
-                        field=error.field, found=_below(error.found, Path(root)), expected=error.expected,
-                        fix=error.fix) from error
+        raise error.replaced(where=_below(error.where, Path(root)) or item.source,
+                             found=_below(error.found, Path(root))) from error
 
 
 def _make(manifest: Manifest, source: SequenceSource, item: Item, root: Path, keep: ViewStore | None,
@@ -107,27 +105,18 @@ def _make(manifest: Manifest, source: SequenceSource, item: Item, root: Path, ke
             keep.keep(item.key, KeptViews(views, item.sha256 or sequence.checksum(),
                                           view_fingerprint(manifest), reference.normalisation,
                                           manifest.normalise.extent))
-    members, leaf_counts = dict(reference.members), dict(reference.leaf_counts)
+    octrees = SampleOctrees(manifest, stages)
+    octrees.members.update(reference.members)
+    octrees.leaf_counts.update(reference.leaf_counts)
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
         first = indices[:variant.views]
-        with stages("noise"):
-            seen = observe(views.subset(range(len(first))), first, variant, noise)
-        with stages("pyramid"):
-            pyramid = DepthPyramid(seen)
-        for encoding in variant.encodings:
-            for resolution in manifest.resolutions:
-                with stages("fuse inputs"):
-                    octree = fuse_input(manifest, pyramid, encoding, resolution)
-                name = input_member(variant.name, encoding, resolution)
-                with stages("encode"):
-                    members[name] = encode(octree, encoding)
-                leaf_counts[name] = octree.n_leaves
-    facts = {**_item_facts(manifest, item), **reference.facts, "leaf_counts": leaf_counts,
+        octrees.add_inputs(variant, views.subset(range(len(first))), first, noise)
+    facts = {**_item_facts(manifest, item), **reference.facts, "leaf_counts": octrees.leaf_counts,
              "inputs": {variant.name: {"views": list(indices[:variant.views]),
                                        "frames": [sequence.names[i] for i in indices[:variant.views]],
                                        **noise_facts(variant)} for variant in manifest.inputs}}
-    return Sample(item.key, {JSON: canonical_json(facts), **members}, stages.seconds)
+    return Sample(item.key, {JSON: canonical_json(facts), **octrees.members}, stages.seconds)
 
 
 def open_planned(source: SequenceSource, item: Item, root: Path) -> FrameSequence:
@@ -178,16 +167,13 @@ def _make_reference(manifest: Manifest, source: SequenceSource, path: str, seque
                         fix="check the region against the poses")
     with stages("pyramid"):
         pyramid = DepthPyramid(views)
-    members, leaf_counts, observed = {}, {}, {}
+    octrees, observed = SampleOctrees(manifest, stages), {}
     for resolution in manifest.resolutions:
         with stages("fuse target"):
             tsdf = fuse_input(manifest, pyramid, Encoding.TSDF, resolution)
             observed[str(resolution)] = observed_share(tsdf)
             truth = as_target(manifest, tsdf)
-        name = target_member(resolution)
-        with stages("encode"):
-            members[name] = encode(truth, "target")
-        leaf_counts[name] = truth.n_leaves
+        octrees.add(target_member(resolution), truth, "target")
     facts = {
         "scan": {"path": path, "format": sequence.format, "frames": len(sequence), "box": list(box),
                  "warnings": list(warnings)},
@@ -197,7 +183,7 @@ def _make_reference(manifest: Manifest, source: SequenceSource, path: str, seque
         "coverage": float((views.depth > 0).mean()),
         "observed": observed,
     }
-    return SequenceReference(normalisation, members, leaf_counts, facts)
+    return SequenceReference(normalisation, octrees.members, octrees.leaf_counts, facts)
 
 
 def _place(manifest: Manifest, source: SequenceSource, path: str,

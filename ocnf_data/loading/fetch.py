@@ -67,7 +67,7 @@ class Fetcher:
         try:
             payloads = tar.read(key, members, catalogue.closes(sample))
         except OcnfError as error:
-            raise _about(error, tar.where, error.field or key) from None
+            raise error.replaced(where=tar.where, field=error.field or key) from None
         meta: dict[str, Any] = {}
         octrees: dict[str, RawOctree] = {}
         for member, payload in zip(members, payloads, strict=True):
@@ -77,7 +77,8 @@ class Fetcher:
                 else:
                     octrees[member.name] = _decode(member.name, payload)
             except OcnfError as error:
-                raise _about(error, tar.where, f"{key}.{member.name} at byte {member.offset}") from None
+                raise error.replaced(where=tar.where,
+                                 field=f"{key}.{member.name} at byte {member.offset}") from None
         return RawSample(key, catalogue.category(sample), meta, octrees)
 
     def _tar(self, shard: int) -> TarReader:
@@ -92,12 +93,6 @@ class Fetcher:
                 self._tars.popitem(last=False)[1].close()
         self._tars.move_to_end(shard)
         return self._tars[shard]
-
-
-def _about(error: OcnfError, where: str, field: str) -> OcnfError:
-    """The error, with a place in a shard added to it."""
-    return OcnfError(error.what, code=error.code, where=where, field=field, found=error.found,
-                     expected=error.expected, fix=error.fix)
 
 
 def _parse_meta(payload: bytes) -> dict[str, Any]:
