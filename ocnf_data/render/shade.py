@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import F32, F64, I64, U8, Bool
 from ocnf_data.render.raster import rasterise
-from ocnf_data.views.cameras import Views
+from ocnf_data.views.cameras import Views, resized
 
 CLAY = (0.80, 0.76, 0.70)
 _KEY_LIGHT = np.array([-0.45, -0.65, -0.61])  # camera axes (x right, y down, z forward), towards the light
@@ -83,10 +83,8 @@ def shade_view(vertices: npt.ArrayLike, faces: npt.ArrayLike, camera: Views, sup
     height, width = camera.size
     if len(triangles) == 0:
         return np.full((height, width, 3), 255, dtype=np.uint8)
-    K = camera.K[0].copy()
-    K[:2] *= supersample
-    K[:2, 2] += (supersample - 1) / 2  # pixel centres stay on integers
-    fine = Views(_blank((height * supersample, width * supersample)), K, camera.R, camera.T)
+    size = height * supersample, width * supersample
+    fine = Views(_blank(size), resized(camera.K, camera.size, size), camera.R, camera.T)
     radius = max(float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))) / 2, 1e-12)
     return _lit(points, triangles, fine, radius, colour, supersample)
 

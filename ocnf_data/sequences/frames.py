@@ -8,14 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json, sha256_hex
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.views.scans import Scan, list_scan
 from ocnf_data.views.scans.listing import Frame, Listing, Said
-from ocnf_data.views.scans.load import load
+from ocnf_data.views.scans.load import load, posed
 from ocnf_data.views.scans.selection import choose
 
 
@@ -52,14 +49,9 @@ class FrameSequence:
                 frame is left (`empty`).
         """
         listing, name = list_scan(folder, format)
-        posed = [frame for frame in listing.frames if np.isfinite(frame.pose).all()]
-        if not posed:
-            raise OcnfError("no frame can be used", code="empty", where=folder,
-                            found=f"{len(listing.frames)} frames, none with a known pose")
-        lost = [f"{frame.name}: the pose is not known (NaN or infinite), left out"
-                for frame in listing.frames if not np.isfinite(frame.pose).all()]
-        chosen = tuple(posed[i] for i in choose(len(posed), frames))
-        used = replace(listing, frames=chosen, notes=(*listing.notes, *lost))
+        usable = posed(listing, folder)
+        chosen = tuple(usable.frames[i] for i in choose(len(usable.frames), frames))
+        used = replace(usable, frames=chosen)
         return cls(Path(folder), used, name, said or Said())
 
     def __len__(self) -> int:

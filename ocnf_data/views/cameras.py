@@ -72,6 +72,11 @@ class Views:
         """Image size as (H, W)."""
         return int(self.depth.shape[1]), int(self.depth.shape[2])
 
+    @property
+    def centres(self) -> F64:
+        """Where the cameras stand, (V, 3) metres in world coordinates."""
+        return np.asarray(-np.einsum("vji,vj->vi", self.R, self.T))
+
     def subset(self, indices: Sequence[int] | npt.NDArray[np.integer]) -> Views:
         """The views at `indices`, in that order."""
         index = np.asarray(indices, dtype=np.int64)
@@ -107,3 +112,12 @@ def _pinhole(K: F64, n_views: int) -> F64:
         raise OcnfError("not a pinhole's intrinsics", where="Views", field="K",
                         found=K[0].tolist(), expected="[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
     return np.ascontiguousarray(K)
+
+
+def resized(K: F64, before: tuple[int, int], after: tuple[int, int]) -> F64:
+    """K (..., 3, 3) of images (H, W) scaled to another size; pixel centres stay on integers."""
+    scale = np.array([after[1] / before[1], after[0] / before[0]])
+    new = np.array(K, dtype=np.float64)
+    new[..., :2, :2] *= scale[:, None]
+    new[..., :2, 2] = (new[..., :2, 2] + 0.5) * scale - 0.5
+    return new

@@ -10,7 +10,7 @@ import numpy as np
 from ocnf_data.arrays import F64, U8
 from ocnf_data.files.storage import Store
 from ocnf_data.render.shade import shade, shade_view
-from ocnf_data.views.cameras import Views
+from ocnf_data.views.cameras import Views, resized
 from ocnf_data.views.scans import Scan
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.scan.reconstruction import Reconstruction
@@ -40,7 +40,7 @@ def draw_comparison(results: Sequence[Reconstruction], scan: Scan, path: Path) -
     frames = _two_frames(results[0].vertices, scan.views)
     rows = [(scan.names[i], [shade_view(r.vertices, r.faces, _camera(scan.views, i)) for r in results])
             for i in frames]
-    centres = -np.einsum("vji,vj->vi", scan.views.R, scan.views.T)
+    centres = scan.views.centres
     if not results[0].region.holds(centres).any():
         rows[1] = ("from the side", _trimmed(_from_the_side(results, scan.views, centres)))
     heights = [images[0].shape[0] / images[0].shape[1] for _, images in rows]
@@ -93,12 +93,9 @@ def _two_frames(vertices: F64, views: Views) -> tuple[int, int]:
 def _camera(views: Views, frame: int) -> Views:
     """One camera, with a picture of about `_PIXELS` along its width."""
     height, width = views.size
-    scale = _PIXELS / width
-    K = views.K[frame].copy()
-    K[:2] *= scale
-    K[:2, 2] += (scale - 1) / 2
-    size = round(height * scale), _PIXELS
-    return Views(np.zeros((1, *size), np.float32), K, views.R[frame][None], views.T[frame][None])
+    size = round(height * _PIXELS / width), _PIXELS
+    return Views(np.zeros((1, *size), np.float32), resized(views.K[frame], views.size, size),
+                 views.R[frame][None], views.T[frame][None])
 
 
 def _from_the_side(results: Sequence[Reconstruction], views: Views, centres: F64) -> list[U8]:

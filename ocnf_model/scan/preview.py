@@ -65,7 +65,7 @@ def _draw_projection(ax: Axes, points: F64, views: Views, region: Region, shown:
     inside = region.holds(points)
     for which, colour in ((~inside, _OUTSIDE), (inside, _INSIDE)):
         ax.scatter(points[which, i], points[which, j], s=0.6, c=colour, linewidths=0, rasterized=True)
-    centres = -np.einsum("vji,vj->vi", views.R, views.T)
+    centres = views.centres
     reach = 0.05 * float(np.ptp(np.concatenate([points, centres]), axis=0).max())
     ahead = centres + reach * views.R[:, 2]
     ax.plot(np.stack([centres[:, i], ahead[:, i]]), np.stack([centres[:, j], ahead[:, j]]), c="black", lw=0.7)

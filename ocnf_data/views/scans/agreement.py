@@ -60,7 +60,7 @@ def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
     """
     to_world = np.tile(np.eye(4), (len(views), 1, 1))
     to_world[:, :3, :3] = views.R.swapaxes(1, 2)
-    to_world[:, :3, 3] = -np.einsum("vji,vj->vi", views.R, views.T)
+    to_world[:, :3, 3] = views.centres
     small = to_world.copy()
     small[:, :3, 3] *= _MILLIMETRES
     compared, share = _share(views, to_world)
@@ -76,7 +76,7 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     Raises:
         OcnfError: the translations are in millimetres.
     """
-    spread = float(np.ptp(-np.einsum("vji,vj->vi", views.R, views.T), axis=0).max())
+    spread = float(np.ptp(views.centres, axis=0).max())
     depth = views.depth[np.isfinite(views.depth) & (views.depth > 0)]
     typical = float(np.median(depth)) if depth.size else 1.0
     weak = not found.share >= _FEW  # NaN is weak

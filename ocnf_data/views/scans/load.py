@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,13 +45,8 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
             another size, no intrinsics, translations in millimetres.
     """
     said = said or Said()
-    notes = list(listing.notes)
-    lost = [frame for frame in listing.frames if not np.isfinite(frame.pose).all()]
-    notes += [f"{frame.name}: the pose is not known (NaN or infinite), left out" for frame in lost]
-    posed = [frame for frame in listing.frames if np.isfinite(frame.pose).all()]
-    if not posed:
-        raise OcnfError("no frame can be used", code="empty", where=where, found="; ".join(notes) or None)
-    chosen = [posed[i] for i in choose(len(posed), frames, every)]
+    listing = posed(listing, where)
+    chosen = [listing.frames[i] for i in choose(len(listing.frames), frames, every)]
     K = _intrinsics(chosen, listing, said, where)
     poses = np.stack([frame.pose for frame in chosen])
     names = [f"{frame.where}" if frame.name in frame.where.name else f"{frame.where}: {frame.name}"
@@ -61,8 +57,22 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     views = Views(depth, K, R, T)
     found = agreement(views, listing.axes)
     warnings = tuple(judge(found, views, where))
-    return Scan(views, tuple(frame.name for frame in chosen), listing.cube, tuple(notes), _colour(chosen, K),
+    return Scan(views, tuple(frame.name for frame in chosen), listing.cube, listing.notes, _colour(chosen, K),
                 format_name, found, warnings)
+
+
+def posed(listing: Listing, where: object) -> Listing:
+    """The frames whose pose is finite, with a note on each of the others.
+
+    Raises:
+        OcnfError: there are none (`empty`).
+    """
+    found = tuple(frame for frame in listing.frames if np.isfinite(frame.pose).all())
+    notes = (*listing.notes, *(f"{frame.name}: the pose is not known (NaN or infinite), left out"
+                               for frame in listing.frames if not np.isfinite(frame.pose).all()))
+    if not found:
+        raise OcnfError("no frame can be used", code="empty", where=where, found="; ".join(notes) or None)
+    return replace(listing, frames=found, notes=notes)
 
 
 def _intrinsics(frames: Sequence[Frame], listing: Listing, said: Said, where: object) -> F64:

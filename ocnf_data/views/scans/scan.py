@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import F32, F64, U8
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.cameras import Views
+from ocnf_data.views.cameras import Views, resized
 from ocnf_data.views.scans.agreement import Agreement, agreement, judge
 from ocnf_data.views.scans.images import read_colour
 from ocnf_data.views.scans.listing import Axes, Direction
@@ -135,12 +135,3 @@ def _colour(colour: npt.ArrayLike | None, views: Views) -> Colour | None:
         raise OcnfError("colour does not fit the depth", where="Scan.from_arrays", field="colour",
                         found=f"{images.dtype} {images.shape}", expected=f"uint8 ({len(views)}, H, W, 3)")
     return Colour(list(images), resized(views.K, views.size, (images.shape[1], images.shape[2])))
-
-
-def resized(K: F64, before: tuple[int, int], after: tuple[int, int]) -> F64:
-    """K (..., 3, 3) of images (H, W) scaled to another size; pixel centres stay on integers."""
-    scale = np.array([after[1] / before[1], after[0] / before[0]])
-    new = np.array(K, dtype=np.float64)
-    new[..., :2, :2] *= scale[:, None]
-    new[..., :2, 2] = (new[..., :2, 2] + 0.5) * scale - 0.5
-    return new

@@ -20,10 +20,10 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
+from ocnf_data.views.cameras import resized
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.images import image_size
 from ocnf_data.views.scans.listing import Axes, Frame, Listing, ScanFormat
-from ocnf_data.views.scans.scan import resized
 from ocnf_data.views.scans.text import json_array, read_json
 
 _FILE = "transforms.json"
