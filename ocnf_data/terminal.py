@@ -29,6 +29,12 @@ def print_error(sentence: str, console: Console) -> None:
     console.print(f"[red]error:[/] {escape(sentence)}", highlight=False, soft_wrap=True)
 
 
+def check_up(up: str) -> None:
+    """Raise OcnfError unless `--up` names an axis that can point up in a picture."""
+    if up not in ("y", "z"):
+        raise OcnfError("not an axis that can point up", field="--up", found=up, expected="y or z")
+
+
 def stoppable(console: Console, sentence: str) -> Callable[[Callable[P, None]], Callable[P, None]]:
     """Decorate a command: where it is stopped, it says in one line what is kept and how to go on.
 

@@ -59,8 +59,8 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",
     "ocnf_data.report":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
-        "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards ocnf_data.terminal "
-        "ocnf_data.verify ocnf_data.views",
+        "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.shards "
+        "ocnf_data.terminal ocnf_data.verify ocnf_data.views",
     "ocnf_data.scenes": "ocnf_data.arrays ocnf_data.errors ocnf_data.meshes ocnf_data.shapes",
     "ocnf_data.sequences":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.octree "
@@ -113,9 +113,9 @@ ARROWS = {
         "ocnf_model.octree",
     "ocnf_model.tables":
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
-        "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.verify ocnf_data.views "
-        "ocnf_model.checkpoint ocnf_model.completion ocnf_model.devices ocnf_model.evaluation "
-        "ocnf_model.training",
+        "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.terminal ocnf_data.verify "
+        "ocnf_data.views ocnf_model.checkpoint ocnf_model.completion ocnf_model.devices "
+        "ocnf_model.evaluation ocnf_model.training",
     "ocnf_model.tensorfile": "ocnf_data.errors ocnf_data.files",
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
@@ -161,6 +161,7 @@ BORROWED = """
     ocnf_data.loading.order
     ocnf_data.manifest
     ocnf_data.manifest.schema
+    ocnf_data.meshes.decimate
     ocnf_data.meshes.writing
     ocnf_data.octree
     ocnf_data.octree.bits

@@ -42,9 +42,9 @@ def show_command(
     from ocnf_data.inspection.show import draw_sample
     from ocnf_data.manifest import Manifest
     from ocnf_data.shards.dataset import load_dataset
+    from ocnf_data.terminal import check_up
 
-    if up not in ("y", "z"):
-        raise OcnfError("not an axis that can point up", field="--up", found=up, expected="y or z")
+    check_up(up)
     manifest = Manifest.from_dict(load_dataset(data).manifest)
     samples = pick(data, key or [], random_, seed)
     single = out.suffix.lower() == ".png"

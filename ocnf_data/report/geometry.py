@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocnf_data.arrays import F64, I64, U8
-from ocnf_data.errors import missing_extra
+from ocnf_data.meshes.decimate import collapse_edges
 from ocnf_data.views.cameras import Views
 
 STEPS = 65535
@@ -27,16 +27,9 @@ def simplify(surface: Triangles, most: int) -> Triangles:
     Raises:
         OcnfError: `missing_extra` without fast-simplification.
     """
-    vertices, faces = surface
-    if len(faces) <= most:
+    if len(surface.faces) <= most:
         return surface
-    try:
-        from fast_simplification import simplify as collapse
-    except ImportError as error:
-        raise missing_extra("the page needs fast-simplification", "generate") from error
-    fewer, triangles = collapse(np.ascontiguousarray(vertices, np.float32),
-                                np.ascontiguousarray(faces, np.int32), target_count=most)
-    return Triangles(fewer.astype(np.float64), triangles.astype(np.int64))
+    return Triangles(*collapse_edges(*surface, most, "the page", "generate"))
 
 
 def as_steps(points: F64, extent: float) -> np.ndarray:

@@ -20,6 +20,7 @@ from ocnf_data.shards.browse import StoredSample
 from ocnf_data.shards.dataset import DatasetInfo, ShardEntry, load_dataset
 from ocnf_data.shards.index import shard_path
 from ocnf_data.shards.reader import ShardReader
+from ocnf_data.terminal import check_up
 
 _CHUNK = 4  # samples of a task: enough that a worker's start does not matter
 _OF_THE_RUN = frozenset({"disk_full", "missing_extra", "permission", "unreachable", "unwritable"})
@@ -79,8 +80,7 @@ def write_report(url: str, out: Path, *, meshes: Path | None = None, splits: lis
         OcnfError: no such data set, split, input or resolution; the page cannot be written. A sample that
             cannot be read is named on the page and in the result, and the others are shown.
     """
-    if up not in ("y", "z"):
-        raise OcnfError("not an axis that can point up", field="--up", found=up, expected="y or z")
+    check_up(up)
     writer = PageWriter(out)
     store = Store(url)
     info = load_dataset(store)

@@ -21,6 +21,8 @@ _Results = Annotated[Path, typer.Option(metavar="DIR", help="Where the table, th
                                                             "the pictures go.")]
 _Device = Annotated[str, typer.Option(metavar="NAME", help="The device to run on: auto, cpu, cuda, cuda:1.")]
 _Split = Annotated[str, typer.Option(help="The split to measure on: test or train.")]
+_Forest = Annotated[bool, typer.Option(
+    "--forest/--no-forest", help="Fit the structured forest too, which takes some minutes.")]
 _Figures = Annotated[int, typer.Option(min=0, help="Number of frames to draw.")]
 
 
@@ -52,8 +54,7 @@ def complete_evaluate_command(
     data: _Data,
     out: _Results,
     split: _Split = "test",
-    forest: Annotated[bool, typer.Option(
-        "--forest/--no-forest", help="Fit the structured forest too, which takes some minutes.")] = True,
+    forest: _Forest = True,
     figures: _Figures = 3,
     device: _Device = "auto",
 ) -> None:
@@ -70,8 +71,7 @@ def complete_baselines_command(
     data: _Data,
     out: _Results,
     split: _Split = "test",
-    forest: Annotated[bool, typer.Option(
-        "--forest/--no-forest", help="Fit the structured forest too, which takes some minutes.")] = True,
+    forest: _Forest = True,
     figures: _Figures = 0,
 ) -> None:
     """Measure what needs no network."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ocnf_data.arrays import F64, I64, Bool
-from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.errors import OcnfError
+from ocnf_data.meshes.decimate import check_library, collapse_edges
 
+_DECIMATING = "decimating"
 LOOSE_VOXELS = 16.0
 """A part of the surface whose box has a shorter diagonal than so many voxels is loose."""
 
@@ -44,8 +46,7 @@ def drop_loose(vertices: F64, faces: I64, diagonal: float) -> tuple[F64, I64, in
 
 
 def decimate(vertices: F64, faces: I64, count: int) -> tuple[F64, I64]:
-    """The mesh with about `count` faces, by collapsing edges at the least quadric error (Garland and Heckbert
-    1997); the mesh itself where it has no more.
+    """The mesh with about `count` faces (`collapse_edges`); the mesh itself where it has no more.
 
     Raises:
         OcnfError: `count` is not positive, or fast-simplification is not installed.
@@ -53,21 +54,14 @@ def decimate(vertices: F64, faces: I64, count: int) -> tuple[F64, I64]:
     check_faces(count)
     if len(faces) <= count:
         return vertices, faces
-    from fast_simplification import simplify
-
-    middle = vertices.mean(axis=0)  # it rounds to float32 on the way, in some of its versions
-    points, triangles = simplify(vertices - middle, faces.astype(np.int32), target_count=count)[:2]
-    return _compact(np.asarray(points, np.float64) + middle, np.asarray(triangles, np.int64))
+    return _compact(*collapse_edges(vertices, faces, count, _DECIMATING, "fuse"))
 
 
 def check_faces(count: int) -> None:
     """Raise OcnfError unless a mesh can be decimated to so many faces here."""
     if count < 4:
         raise OcnfError("not a number of faces", field="faces", found=count, expected="4 or more")
-    try:
-        import fast_simplification  # noqa: F401
-    except ImportError as error:
-        raise missing_extra("decimating needs fast-simplification", "fuse") from error
+    check_library(_DECIMATING, "fuse")
 
 
 def _compact(vertices: F64, faces: I64) -> tuple[F64, I64]:

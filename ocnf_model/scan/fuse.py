@@ -61,9 +61,7 @@ def choose_region(scan: Scan, pyramid: DepthPyramid, region: Region | None, room
     Raises:
         OcnfError: none does, or nothing was measured at all (`empty`).
     """
-    if region is not None and room:
-        raise OcnfError("a box and the whole room cannot both be fused", field="box",
-                        found=str(region), expected="--box or --room")
+    refuse_both(region, room)
     if room:
         return everything(pyramid)
     if region is None:
@@ -72,6 +70,13 @@ def choose_region(scan: Scan, pyramid: DepthPyramid, region: Region | None, room
         raise OcnfError("no surface was found in the region: no frame looks at it", code="empty", field="box",
                         found=f"{region.low} to {region.high}", fix="check --box against the camera poses")
     return region
+
+
+def refuse_both(box: object, room: bool) -> None:
+    """Raise OcnfError where both a box and the whole room are asked for."""
+    if box is not None and room:
+        raise OcnfError("a box and the whole room cannot both be fused", field="box", found=box,
+                        expected="--box or --room")
 
 
 def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region, *,

@@ -17,7 +17,7 @@ from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
 from ocnf_model.scan.components import check_faces
 from ocnf_model.scan.frames import limit_depth
-from ocnf_model.scan.fuse import choose_region, reconstruct
+from ocnf_model.scan.fuse import choose_region, reconstruct, refuse_both
 from ocnf_model.scan.fusers import Baseline, Fuser, Learned
 from ocnf_model.scan.outputs import TSDF_SUFFIXES, check_picture, check_target, mesh_suffixes, save_tsdf
 from ocnf_model.scan.reconstruction import Reconstruction
@@ -93,9 +93,7 @@ class Asked:
             check_faces(self.faces)
         if not self.chosen():
             raise OcnfError("no method", field="method", expected="ours, volfus or tvl1")
-        if self.box is not None and self.room:
-            raise OcnfError("a box and the whole room cannot both be fused", field="box",
-                            found=" ".join(f"{c:g}" for c in self.box), expected="--box or --room")
+        refuse_both(self.box, self.room)
 
 
 def run_fuse(scan: str, asked: Asked, console: Console | None = None,

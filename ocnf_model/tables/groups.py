@@ -14,7 +14,7 @@ from ocnf_model.tables.budget import PAPER_EPOCHS, Budget, listed
 from ocnf_model.tables.cells import TableFigures
 from ocnf_model.tables.differences import differences, machine
 from ocnf_model.tables.execute import Executor
-from ocnf_model.tables.rates import Estimate, Estimator, calibrate, epochs_within, read_rates
+from ocnf_model.tables.rates import Estimate, Estimator, calibrate, epochs_within, folder_size, read_rates
 from ocnf_model.tables.samples import sample_figures
 from ocnf_model.tables.schema import TableSpec
 from ocnf_model.tables.steps import Layout, Step, plan_steps
@@ -100,11 +100,6 @@ class SampleGroup:
         figures = TableFigures(table, partial(sample_figures, table, self._layout))
         return figures, differences(table, self._layout.budget, listed(self._layout.budget, self._root),
                                     machine(self._device))
-
-
-def folder_size(folder: Path) -> int:
-    """Bytes of all files in a folder."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _layout(out: Path, budget: Budget, root: Path) -> Layout:

@@ -243,7 +243,7 @@ def _measure(budget: Budget, root: Path, out: Path, device: str, tables: Sequenc
         generate={**stages, "fixed": max(0.0, wall - sum(stages.values()) * samples)},
         encodings=len(spec.encodings), members={part: size / samples for part, size in members.items()},
         train_sample=tuple(sample), train_validation=tuple(validation), train_fixed=fixed,
-        run_bytes=sum(path.stat().st_size for path in (out / "runs" / run).rglob("*") if path.is_file()),
+        run_bytes=folder_size(out / "runs" / run),
         weigh=weigh / min(_WEIGHT_MODELS, len(chosen)), baselines=baselines,
         evaluate=timed[StepKind.EVALUATE], time=timed[StepKind.TIME])
 
@@ -284,6 +284,11 @@ def _stages(data: Path) -> tuple[dict[str, float], int]:
                 found[stage].append(seconds)
     means = {stage: sum(sorted(all_)[:-1]) / max(1, len(all_) - 1) for stage, all_ in found.items()}
     return means, max(map(len, found.values()))
+
+
+def folder_size(folder: Path) -> int:
+    """Bytes of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _seconds(do: Callable[[], object]) -> float:

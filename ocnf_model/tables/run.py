@@ -15,10 +15,12 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
+from ocnf_data.terminal import check_up
 from ocnf_model.tables.budget import make_budget
 from ocnf_model.tables.completion import CompletionGroup
-from ocnf_model.tables.groups import SampleGroup, TableGroup, folder_size
+from ocnf_model.tables.groups import SampleGroup, TableGroup
 from ocnf_model.tables.plan import TablePlan, megabytes
+from ocnf_model.tables.rates import folder_size
 from ocnf_model.tables.schema import TABLE_NAMES, Pipeline, TableSpec, load_table
 from ocnf_model.tables.steps import Step, StepKind
 from ocnf_model.tables.write import to_latex, to_markdown, to_table_csv
@@ -78,8 +80,7 @@ def make_tables(
     if epochs is not None and hours is not None:
         raise OcnfError("epochs and hours are two budgets for the same thing", field="--hours",
                         found=f"{hours:g} and --epochs", fix="give one of them")
-    if up not in ("y", "z"):
-        raise OcnfError("not an axis that can point up", field="--up", found=up, expected="y or z")
+    check_up(up)
     by_root: dict[Path, list[TableSpec]] = {}
     for table in tables:
         if table.pipeline is Pipeline.COMPLETION:
