@@ -1,6 +1,6 @@
 """Training a network stage by stage, resumable at any moment (SEMANTICS 5).
 
-    RUN/settings.json          all settings, resolved, what they were resolved against, and epochs added since
+    RUN/settings.json          all settings, resolved, what they were resolved against, and changed epochs
     RUN/state.safetensors      where the run is (see `training.train_state`)
     RUN/level-1.safetensors    best checkpoint of each level, by `best_by` of the settings (see `checkpoint`)
     RUN/curves.csv             a line an epoch
@@ -31,7 +31,7 @@ from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import SAMPLES, VALIDATION, DataSource, StoredData, open_data
-from ocnf_model.training.extend import extend, raised_epochs
+from ocnf_model.training.epochs import change_epochs, changed_epochs
 from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 from ocnf_model.training.stage import Job, Trainer
 from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
@@ -45,7 +45,7 @@ _MAX_SETTINGS = 16 * 2**20  # bytes
 def train(data: str | Path | DataSource, out: str | Path, settings: TrainSettings | None = None, *,
           device: str = "auto", console: Console | None = None, meshes: str | Path | None = None,
           val: str | Path | None = None) -> OctNetFusion:
-    """Train all levels, or go on where an earlier call with the same arguments, or fewer epochs, stopped.
+    """Train all levels, or go on where an earlier call with the same arguments, or other epochs, stopped.
 
     Under `torchrun` all processes train together, each with batches of `batch_size`.
 
@@ -150,8 +150,8 @@ def _begin(folder: Path, settings: TrainSettings, training_data: TrainingData) -
         store.put_bytes(SETTINGS, canonical_json(fields, indent=2))
         return
     before, began_with = read_run_settings(folder)
-    raised = raised_epochs(settings, before)
-    if not raised and (found := setting_difference(settings, before)):
+    changed = changed_epochs(settings, before)
+    if not changed and (found := setting_difference(settings, before)):
         field, ours, theirs = found
         raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
                         found=ours, expected=theirs, fix="pass the same settings, or name a new folder")
@@ -160,8 +160,8 @@ def _begin(folder: Path, settings: TrainSettings, training_data: TrainingData) -
                         found=f"{training_data.name} {training_data.checksum[:12]}",
                         expected=f"{began_with.name} {began_with.checksum[:12]}",
                         fix="pass the same data set, or name a new folder")
-    if raised:
-        extend(folder, SETTINGS, settings, raised, load_state(folder)[0])
+    if changed:
+        change_epochs(folder, SETTINGS, settings, changed, load_state(folder)[0])
 
 
 def _refuse_strangers(store: Store) -> None:

@@ -1,15 +1,17 @@
-"""A run that is given more epochs goes on as if it had been begun with them."""
+"""A run that is given other epochs goes on as if it had been begun with them."""
 
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 import torch
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import open_run
-from ocnf_model.training.extend import raised_epochs
+from ocnf_model.training.curves import Reporter
+from ocnf_model.training.epochs import changed_epochs
 from ocnf_model.training.run import train
 from ocnf_model.training.train_state import load_state
 
@@ -34,8 +36,30 @@ def test_more_epochs_later_are_the_same_as_at_first(tiny, small, tmp_path) -> No
     before = (tmp_path / "twice" / "settings.json").read_bytes()
     train(tiny, tmp_path / "twice", longer, device="cpu")  # the same again raises nothing
     assert (tmp_path / "twice" / "settings.json").read_bytes() == before
-    with pytest.raises(OcnfError, match=r"stages\[0\].epochs: the run was begun with other settings"):
+    with pytest.raises(OcnfError, match=r"stages\[0\].epochs: fewer epochs than have begun.*at least 3"):
         train(tiny, tmp_path / "twice", small(levels=1, stages=[stage(2)]), device="cpu")
+    assert (tmp_path / "twice" / "settings.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("epochs", [1, 2])
+def test_fewer_epochs_later_are_the_same_as_at_first(tiny, small, tmp_path, monkeypatch, epochs) -> None:
+    once = small(levels=1, stages=[stage(epochs)])
+    train(tiny, tmp_path / "once", once, device="cpu")
+
+    def stop(self: Any, *told: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Reporter, "epoch", stop)  # after the first epoch
+        train(tiny, tmp_path / "ended", small(levels=1, stages=[stage(3)]), device="cpu")
+    train(tiny, tmp_path / "ended", once, device="cpu")
+    (first, expected), (second, found) = (load_state(tmp_path / name) for name in ("once", "ended"))
+    assert expected.keys() == found.keys()
+    assert all(torch.equal(tensor, found[name]) for name, tensor in expected.items())
+    assert [(row.epoch, row.train_loss, row.val_mad, row.best) for row in first.rows] \
+        == [(row.epoch, row.train_loss, row.val_mad, row.best) for row in second.rows]
+    fields = json.loads((tmp_path / "ended" / "settings.json").read_text())
+    assert fields["extended"] == [{"level": 1, "epochs": 3, "lowered_to": epochs, "done": 1}]
 
 
 def test_the_last_level_may_go_on_and_one_that_others_build_on_may_not(tiny, small, out) -> None:
@@ -51,11 +75,12 @@ def test_the_last_level_may_go_on_and_one_that_others_build_on_may_not(tiny, sma
     assert open_run(out).resolutions == [32, 64]
 
 
-def test_what_else_differs_is_no_extension(small) -> None:
+def test_what_else_differs_is_another_run(small) -> None:
     one = small(stages=[stage(2)])
-    assert raised_epochs(small(stages=[stage(2), stage(4)]), one) == {1: (2, 4)}
-    assert raised_epochs(small(stages=[stage(3)]), one) == {0: (2, 3), 1: (2, 3)}
+    assert changed_epochs(small(stages=[stage(2), stage(4)]), one) == {1: (2, 4)}
+    assert changed_epochs(small(stages=[stage(3)]), one) == {0: (2, 3), 1: (2, 3)}
+    assert changed_epochs(small(stages=[stage(3), stage(1)]), one) == {0: (2, 3), 1: (2, 1)}
     for other in (small(stages=[stage(3)], seed=1), small(stages=[stage(3, batch_size=1)]), one,
-                  small(stages=[stage(3), stage(1)]), small(stages=[stage(3)], levels=1)):
-        assert raised_epochs(other, one) == {}
-    assert raised_epochs(small(stages=[stage(3)], workers=2), one)
+                  small(stages=[stage(3)], levels=1)):
+        assert changed_epochs(other, one) == {}
+    assert changed_epochs(small(stages=[stage(3)], workers=2), one)
