@@ -61,6 +61,8 @@ def train_command(
     )] = None,
     settings: Annotated[Path | None, typer.Option(
         metavar="FILE", help="A YAML or JSON file with any of the settings; options override it.")] = None,
+    start: Annotated[str | None, typer.Option(
+        metavar="RUN", help="A run whose weights the levels begin with: its folder, or pretrained.")] = None,
     encoding: Annotated[str | None, typer.Option(
         help="Input encoding: occupancy, tsdf, tdf_occupancy or histogram. [histogram]")] = None,
     variant: Annotated[str | None, typer.Option(
@@ -68,7 +70,7 @@ def train_command(
     epochs: Annotated[str | None, typer.Option(
         metavar="N,...",
         help="Epochs of each level; the last number holds for all later levels. A run can be continued with "
-             "more. [50,25,25]")] = None,
+             "more, or ended with fewer. [50,25,25]")] = None,
     batch_size: Annotated[str | None, typer.Option(
         metavar="N,...", help="Samples per batch and process, level by level. [4,1,1]")] = None,
     accumulate: Annotated[str | None, typer.Option(
@@ -115,7 +117,7 @@ def train_command(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
-         "best_by": best_by, "seed": seed, "workers": workers},
+         "best_by": best_by, "start": start, "seed": seed, "workers": workers},
         {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
          "learning_rate": learning_rate, "decay": decay},
         channels)

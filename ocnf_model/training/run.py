@@ -26,7 +26,7 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import validate
-from ocnf_model.checkpoint import Architecture, TrainingData, load_level
+from ocnf_model.checkpoint import Architecture, TrainingData, load_level, run_folder, trained_levels
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.curves import Reporter, write_curves
@@ -63,8 +63,8 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         The network with the best weights of every level, in evaluation mode, on the device.
 
     Raises:
-        OcnfError: the data set lacks what is asked for, the folder belongs to another run, memory runs out,
-            a loss is not finite, ...
+        OcnfError: the data set lacks what is asked for, the folder belongs to another run, the run to start
+            from is another network, memory runs out, a loss is not finite, ...
     """
     folder = Path(out)
     console = console or Console(stderr=True, emoji=False)
@@ -83,11 +83,12 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
             variant = source.validation(folder, settings, level).variant
         source.training(folder, settings, settings.levels - 1)
         settings = asked.resolved(source.manifest, variant, source.where)
+        network, n_started = _first_network(settings)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
                 _begin(folder, settings, _training_data(source, folder, settings))
             world.wait()
-            return _run(source, folder, settings, world, console)
+            return _run(source, folder, settings, network.to(world.device), n_started, world, console)
 
 
 def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console: Console) -> None:
@@ -99,11 +100,22 @@ def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console:
         source.prepare(folder, settings, console)
 
 
-def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World,
-         console: Console) -> OctNetFusion:
+def _first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
+    """The network before training, and how many levels have the weights of the run that it starts from."""
     torch.manual_seed(settings.seed)
+    network = Architecture.of(settings).network(settings.levels, settings.checkpointing)
+    if settings.start is None:
+        return network, 0
+    folder = run_folder(settings.start)
+    n_started = min(trained_levels(folder), settings.levels)
+    for level in range(n_started):
+        load_level(folder, network, level)
+    return network, n_started
+
+
+def _run(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion, n_started: int,
+         world: World, console: Console) -> OctNetFusion:
     assert settings.output is not None and settings.resolutions is not None  # resolved
-    network = Architecture.of(settings).network(settings.levels, settings.checkpointing).to(world.device)
     training_data = _training_data(source, folder, settings)
     state, tensors = load_state(folder)
     check_progress(folder, state, [settings.stage(level).epochs for level in range(settings.levels)],
@@ -112,7 +124,7 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, world: World
         write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
         if level >= state.level:
-            if level:
+            if level >= max(n_started, 1):
                 network.start_from_previous(level)
             job = Job(folder, settings, network, source.training(folder, settings, level),
                       source.validation(folder, settings, level), training_data,

@@ -126,8 +126,8 @@ def test_occupancy_mixed_precision_and_checkpointing(tiny, small, out) -> None:
 
 def test_another_run_in_the_folder_is_refused(finished, tiny, small, tmp_path) -> None:
     before = snapshot(finished)
-    for changes, field in (({"seed": 1}, "seed"), ({"levels": 1}, "levels"),
-                           ({"stages": [stage(epochs=1)]}, r"stages\[0\].epochs")):
+    for changes, field in (({"seed": 1}, "seed"), ({"levels": 1}, "levels"), ({"augment": "all"}, "augment"),
+                           ({"stages": [stage(epochs=2, learning_rate=1)]}, r"stages\[0\].learning_rate")):
         with pytest.raises(OcnfError, match=f"{field}: the run was begun with other settings"):
             other = small(**{"stages": [stage(epochs=2)], "best_by": "mad", **changes})
             train(tiny, finished, other, device="cpu")
