@@ -71,7 +71,7 @@ ARROWS = {
     "ocnf_data.synthesis":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.meshes ocnf_data.octree "
-        "ocnf_data.shapes ocnf_data.shards ocnf_data.views",
+        "ocnf_data.render ocnf_data.scenes ocnf_data.shapes ocnf_data.shards ocnf_data.views",
     "ocnf_data.terminal": "ocnf_data.errors ocnf_data.files ocnf_data.version",
     "ocnf_data.verify": "ocnf_data.errors ocnf_data.files ocnf_data.octree ocnf_data.shards",
     "ocnf_data.version": "",

@@ -26,11 +26,11 @@ class ScenesSource(Strict):
         from ocnf_data.scenes import SCENES
 
         for split in SPLITS:
-            for i, name in enumerate(self._names(split)):
+            for i, name in enumerate(self.names(split)):
                 if name not in SCENES:
                     raise refused("unknown kind of scene", at=f".categories.{split}[{i}]", found=name,
                                   expected=f"one of {', '.join(SCENES)}")
-            if getattr(self.counts, split) and not self._names(split):
+            if getattr(self.counts, split) and not self.names(split):
                 raise refused("no kinds for a split that has scenes", at=f".categories.{split}")
         if not any(getattr(self.counts, split) for split in SPLITS):
             raise refused("the data set would be empty", at=".counts", expected="a count above 0")
@@ -39,10 +39,11 @@ class ScenesSource(Strict):
     def entries(self, root: Path | None = None, seed: int = 0) -> list[Entry]:
         """Scene number i of a split is of kind i modulo their number."""
         return [Entry(split, names[i % len(names)], index=i // len(names))
-                for split in SPLITS for names in [self._names(split)]
+                for split in SPLITS for names in [self.names(split)]
                 for i in range(getattr(self.counts, split))]
 
-    def _names(self, split: str) -> Sequence[str]:
+    def names(self, split: str) -> Sequence[str]:
+        """The kinds of scenes of a split."""
         from ocnf_data.scenes import SCENES
 
         chosen = self.categories[split]

@@ -153,21 +153,26 @@ class Manifest(Strict):
         if self.synthesis is not None and self.synthesis.views[1] > n:
             raise refused(f"the rig {self.camera.rig} has fewer views", at="synthesis.views[1]",
                           found=self.synthesis.views[1], expected=f"1 to {n}")
-        if self.synthesis is not None and self.camera.path is not None:
+        if self.synthesis is not None and self.camera.path is not None and not self._all_scenes():
             raise refused("a hand-held path cannot be drawn from", at="camera.rig", found=self.camera.rig,
-                          expected="a rig of directions where there is synthesis")
+                          expected="a rig of directions where synthesis draws anything but scenes")
         if self.camera.path is None and self.camera.distance <= self.normalise.radius:
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
                           expected=f"more than {self.normalise.radius:.4g} m")
         return self
 
+    def _all_scenes(self) -> bool:
+        parts = [part.source for part in self.source.parts] if isinstance(self.source, MixtureSource) else [
+            self.source]
+        return all(isinstance(source, ScenesSource) for source in parts)
+
     def _fit_for_scans(self) -> Manifest:
         if self.camera != Camera():
             raise refused("the cameras of scans are their own", at="camera", expected="no camera section")
         if self.synthesis is not None:
-            raise refused("samples without end are drawn of meshes and shapes, not of scans", at="synthesis",
-                          expected="no synthesis section")
+            raise refused("samples without end are drawn of meshes, shapes and scenes, not of scans",
+                          at="synthesis", expected="no synthesis section")
         return self
 
     @classmethod

@@ -46,6 +46,16 @@ class Directions(StrEnum):
     """Anywhere on the sphere of the rig's cameras, evenly."""
 
 
+class SceneCameras(StrEnum):
+    """The cameras of an input that sees a procedural scene."""
+
+    PATH = "path"
+    """On a hand-held path (`views.trajectories`): through a room, turning around or watching a part of it;
+    around a table."""
+    SINGLE = "single"
+    """Each by itself: somewhere in a room, or above a table, looking at any point of what the cube holds."""
+
+
 def _weights(value: Any) -> Any:
     """One name stands for itself alone; all weights 0 would leave nothing to draw."""
     if isinstance(value, str):
@@ -74,8 +84,9 @@ Range = AfterValidator(_range)
 class Synthesis(Strict):
     """What `SynthesisDataset` draws for each sample from (seed, epoch, number) alone.
 
-    Procedural shapes are new ones in every epoch, without end; the source's counts do not limit them. Of
-    mesh files each of the split is as likely, as often as its source is drawn (see `mixture` sources).
+    Procedural shapes and scenes are new ones in every epoch, without end; the source's counts do not limit
+    them. Of mesh files each of the split is as likely, as often as its source is drawn (see `mixture`
+    sources).
     """
 
     samples_per_epoch: Annotated[Int, Field(ge=1, le=100_000_000)] = 1000
@@ -83,12 +94,19 @@ class Synthesis(Strict):
     rotate: Weights[Rotate] = Field(default={Rotate.NONE: 1.0}, validate_default=False)
     """The rotation of the mesh: a name, or names with weights."""
     up: Literal["x", "y", "z"] = "z"
-    """The axis of mesh files that points up, for `upright`. That of procedural shapes is z."""
+    """The axis of mesh files that points up, for `upright`. That of procedural shapes and scenes is z."""
     scale: Annotated[tuple[Annotated[Real, Field(gt=0, le=1)], Annotated[Real, Field(gt=0, le=1)]],
                      Range] = (1.0, 1.0)
     """Range of the factor by which a mesh is made smaller than the normalised one."""
     directions: Weights[Directions] = Field(default={Directions.RIG: 1.0}, validate_default=False)
-    """The cameras of the inputs: a name, or names with weights."""
+    """The cameras of the inputs that see a mesh or a shape: a name, or names with weights."""
+    cameras: Weights[SceneCameras] = Field(default={SceneCameras.PATH: 1.0, SceneCameras.SINGLE: 1.0},
+                                           validate_default=False)
+    """The cameras of the inputs that see a scene: a name, or names with weights."""
+    zoom: Annotated[tuple[Annotated[Real, Field(ge=1, le=20)], Annotated[Real, Field(ge=1, le=20)]],
+                    Range] = (1.0, 1.0)
+    """Range of the factor by which a scene is magnified, its logarithm evenly drawn. Above 1 the cube holds a
+    part of the scene, about one of its things or walls, as tiles and boxes do in `fuse`."""
     views: Annotated[tuple[Annotated[Int, Field(ge=1)], Annotated[Int, Field(ge=1)]], Range] = (1, 6)
     """Least and largest number of input views, each number as likely."""
     sigma: Annotated[tuple[Annotated[Real, Field(ge=0, le=1)], Annotated[Real, Field(ge=0, le=1)]],
@@ -100,7 +118,8 @@ class Synthesis(Strict):
                         Range] = (1.0, 1.0)
     """Range of the strength of `kinect`: 0 is no noise at all, 1 that of the sensor."""
     metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
-    """How many real metres a metre of the grid stands for, in the noise of `kinect`."""
+    """How many real metres a metre of the grid stands for, in the noise of `kinect`. Scenes have real sizes,
+    which are taken instead."""
     repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
     """Number of epochs in which sample i keeps its mesh, rotation and scale, while its views, noise and
     symmetry are drawn again each time. Its ground truth, most of the work, is then made once and kept in a

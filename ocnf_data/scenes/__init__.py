@@ -33,7 +33,12 @@ def make_scene(kind: str, seed: int, index: int, split: str) -> Mesh:
     Raises:
         OcnfError: a kind that is not in SCENES.
     """
-    part = join([part for part, _ in draft_scene(kind, seed, index, split).parts])
+    return scene_mesh(draft_scene(kind, seed, index, split))
+
+
+def scene_mesh(draft: Draft) -> Mesh:
+    """The mesh of a scene's things, as `make_scene` has it."""
+    part = join([part for part, _ in draft.parts])
     vertices = np.round(part.vertices, 6) + 0.0  # no negative zeros
     faces = np.ascontiguousarray(part.faces, dtype=np.int64)
     sha256 = hashlib.sha256(vertices.astype("<f8").tobytes() + faces.astype("<i8").tobytes()).hexdigest()

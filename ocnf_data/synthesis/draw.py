@@ -7,21 +7,23 @@ the input (cameras, noise). With `repeat: k` a body lasts for k epochs, a *seaso
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from ocnf_data.arrays import F64
+from ocnf_data.generation.procedural import procedural_name
 from ocnf_data.generation.records import Item
-from ocnf_data.manifest.synthesis import Directions, Rotate
+from ocnf_data.manifest.synthesis import Directions, Rotate, SceneCameras
+from ocnf_data.scenes import SCENES
 from ocnf_data.shapes.draw import Draw
 from ocnf_data.synthesis.sources import Pool, Sources
 from ocnf_data.views.noise import NoiseModel
 from ocnf_data.views.rigs import rig_from_name, view_subset
 
 T = TypeVar("T")
-_SHAPES = 2**48 - 1  # so many shapes of a category and split can be drawn; what a double holds exactly
+_SHAPES = 2**48 - 1  # so many of a category and split can be drawn; what a double holds exactly
 _SHAPES_UP = "z"
 
 
@@ -30,14 +32,24 @@ class Body:
     """What is looked at.
 
     Attributes:
-        item: the mesh file, or the procedural shape.
+        item: the mesh file, or the procedural shape or scene.
         rotation: (3, 3), applied to the vertices before they are normalised; None leaves them as they are.
         scale: factor after that, at most 1.
+        zoom: of a scene, a factor beside `scale`, at least 1.
+        about: of a scene, what the cube is moved to if `zoom` is above 1: (which thing, x, y, z), shares from
+            0 to 1 of the list of things and of the thing's box.
     """
 
     item: Item
     rotation: F64 | None = None
     scale: float = 1.0
+    zoom: float = 1.0
+    about: tuple[float, ...] = ()
+
+    @property
+    def is_scene(self) -> bool:
+        """Whether it is a procedural scene, which has cameras of its own."""
+        return self.item.index is not None and self.item.category in SCENES
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,21 +57,26 @@ class Look:
     """How an input sees it.
 
     Attributes:
-        directions: (k, 3) directions of the cameras, as rigs have them.
+        directions: (k, 3) directions of the cameras, as rigs have them; None where only scenes are drawn.
         views: what tells the noise of one view from another's: numbers in the rig, or 0 .. k-1.
         noise: model of the noise.
         sigma: standard deviation of the noise of `park`, as a fraction of the depth.
         strength: strength of the noise of `kinect`: 0 is none, 1 that of the sensor.
         seed, key: what the noise depends on beside the view (see `views.noise`).
+        cameras: how cameras are chosen in a scene, instead of `directions`.
+        background: whether rays that meet nothing of a scene count as free space, as if there were something
+            farther off; else they measure nothing.
     """
 
-    directions: F64
+    directions: F64 | None
     views: tuple[int, ...]
     noise: NoiseModel
     seed: int
     key: str
     sigma: float = 0.0
     strength: float = 1.0
+    cameras: SceneCameras = SceneCameras.SINGLE
+    background: bool = True
 
 
 def season_of(epoch: int, repeat: int) -> int:
@@ -79,7 +96,12 @@ def draw_body(sources: Sources, seed: int, season: int, number: int, attempt: in
             rotation = _any_rotation(draw)
         case Rotate.UPRIGHT:
             rotation = _turn(up, draw.between(0, 2 * np.pi))
-    return Body(item, rotation, draw.between(*settings.scale))
+    body = Body(item, rotation, draw.between(*settings.scale))
+    if not body.is_scene:
+        return body
+    low, high = settings.zoom
+    zoom = low * (high / low) ** draw.between(0, 1)
+    return replace(body, zoom=zoom, about=tuple(draw.between(0, 1) for _ in range(4)))
 
 
 def draw_look(sources: Sources, seed: int, epoch: int, number: int) -> Look:
@@ -91,22 +113,29 @@ def draw_look(sources: Sources, seed: int, epoch: int, number: int) -> Look:
     model = _pick_name(draw, settings.noise)
     how = _pick_name(draw, settings.directions)
     key = f"ocnf.synthesis {epoch} {number}"
-    if how is Directions.SPHERE:
+    directions: F64 | None
+    if camera.path is not None:
+        directions, views = None, tuple(range(k))
+    elif how is Directions.SPHERE:
         directions, views = np.stack([_any_direction(draw) for _ in range(k)]), tuple(range(k))
     else:
         n = camera.n_views
         views = tuple(view_subset(n, k).tolist()) if how is Directions.RIG else _some_of(draw, n, k)
         directions = rig_from_name(camera.rig)[np.asarray(views)]
+    # Of a stream of its own, so that the looks at meshes are what they were before there were scenes.
+    scene = Draw("ocnf.synthesis.scene_look", seed, epoch, number)
+    look = Look(directions, views, model, seed, key, sigma=sigma, cameras=_pick_name(scene, settings.cameras),
+                background=scene.chance(0.5))
     if model is NoiseModel.KINECT:
-        return Look(directions, views, model, seed, key, strength=draw.between(*settings.strength))
-    return Look(directions, views, model, seed, key, sigma=sigma)
+        return replace(look, sigma=0.0, strength=draw.between(*settings.strength))
+    return look
 
 
 def _pick_item(draw: Draw, pool: Pool, split: str) -> Item:
     if pool.items:
         return pool.items[draw.count(0, len(pool.items) - 1)]
     category, index = draw.pick(*pool.categories), draw.count(0, _SHAPES)
-    return Item(f"{category}-{split}-{index}", split, category, f"shapes:{category}:{split}:{index}",
+    return Item(f"{category}-{split}-{index}", split, category, procedural_name(category, split, index),
                 index=index)
 
 

@@ -1,4 +1,4 @@
-"""What samples can be made of: the mesh files of a split, and the categories of procedural shapes."""
+"""What samples can be made of: mesh files of a split, and categories of procedural shapes and scenes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ocnf_data.generation.plan import entry_source, list_items
 from ocnf_data.generation.records import Item
 from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.mixture import MixtureSource, SourcePart
+from ocnf_data.manifest.scenes import ScenesSource
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.manifest.shapes import ShapesSource
 from ocnf_data.manifest.synthesis import Synthesis
@@ -22,12 +23,12 @@ _VERSION = "ocnf.synthesis.1"  # another one wherever the same draw would give a
 
 @dataclass(frozen=True)
 class Pool:
-    """What one source gives: either mesh files or procedural shapes.
+    """What one source gives: either mesh files, or procedural shapes or scenes.
 
     Attributes:
         weight: how often it is drawn from, relative to the others.
         items: mesh files of the source.
-        categories: categories of the procedural shapes of the source.
+        categories: categories of the procedural shapes, or kinds of the scenes, of the source.
     """
 
     weight: float
@@ -41,7 +42,7 @@ class Sources:
 
     Attributes:
         manifest: the manifest, with its `synthesis` section filled in.
-        meshes: the folder that the items' sources are relative to; None where there are only shapes.
+        meshes: the folder that the items' sources are relative to; None where nothing is read from files.
         split: name of the split.
         pools: the sources that have anything to draw.
         checksum: SHA-256 of everything that a sample of a given number depends on, the mesh files included.
@@ -75,7 +76,7 @@ def open_sources(manifest: Manifest, meshes: Path | None, split: str,
     """
     source = manifest.source
     if isinstance(source, SequenceSource):
-        raise OcnfError("samples without end are drawn of meshes and shapes, not of scans",
+        raise OcnfError("samples without end are drawn of meshes, shapes and scenes, not of scans",
                         where=manifest.name, field="source.kind", found="sequence",
                         fix="make a data set of it with `ocnf-data generate`, and train on that")
     if meshes is not None and not meshes.is_dir():
@@ -103,7 +104,7 @@ def _pool(part: SourcePart, items: Mapping[str, Item], meshes: Path | None, seed
     def wanted(category: str) -> bool:
         return categories is None or category in categories
 
-    if isinstance(part.source, ShapesSource):
+    if isinstance(part.source, ShapesSource | ScenesSource):
         return Pool(part.weight, categories=tuple(filter(wanted, part.source.names(split))))
     sources = [entry_source(entry) for entry in part.source.entries(meshes, seed)
                if entry.split == split and wanted(entry.category)]

@@ -11,6 +11,7 @@ from ocnf_data.octree.stored import RawOctree
 from ocnf_data.shards.tarformat import input_member, target_member
 from ocnf_data.synthesis.draw import Body, Look, draw_body, draw_look, season_of
 from ocnf_data.synthesis.sample import make_inputs, make_truths, pose
+from ocnf_data.synthesis.scenes import PlacedScene
 from ocnf_data.synthesis.sources import Sources
 from ocnf_data.synthesis.truths import TruthCache
 from ocnf_data.views.noise import NoiseModel
@@ -71,7 +72,8 @@ class SynthesisSupply:
         octrees |= {input_member(DRAWN_VARIANT, request.encoding, resolution): octree
                     for resolution, octree in inputs.items()}
         key = f"{body.item.key}-{epoch}-{number}"
-        return RawSample(key, body.item.category, _facts(key, body, look), octrees)
+        facts = _facts(key, body, look) | ({} if posed.scene is None else _scene_facts(posed.scene, look))
+        return RawSample(key, body.item.category, facts, octrees)
 
     def _body(self, epoch: int, number: int, attempt: int) -> Body:
         return draw_body(self._sources, self._seed, season_of(epoch, self._repeat), number, attempt)
@@ -83,6 +85,13 @@ def _facts(key: str, body: Body, look: Look) -> dict[str, Any]:
     return {
         "key": key, "split": item.split, "category": item.category, "source": item.source,
         "rotation": None if body.rotation is None else body.rotation.tolist(), "scale": body.scale,
-        "directions": look.directions.tolist(), "views": list(look.views), "noise": str(look.noise),
+        **({} if look.directions is None or body.is_scene else {"directions": look.directions.tolist()}),
+        "views": list(look.views), "noise": str(look.noise),
         **({"sigma": look.sigma} if look.noise is NoiseModel.PARK else {"strength": look.strength}),
     }
+
+
+def _scene_facts(scene: PlacedScene, look: Look) -> dict[str, Any]:
+    """What it says beside that of a scene's sample."""
+    return {"zoom": scene.body.zoom, "metres": scene.metres, "cameras": str(look.cameras),
+            "background": look.background}

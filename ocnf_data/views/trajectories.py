@@ -96,7 +96,8 @@ def path_around(n: int, seed: int, key: str, centre: Sequence[float], radius: fl
 
 
 def path_inside(n: int, seed: int, key: str, low: Sequence[float], high: Sequence[float],
-                clearance: Clearance | None = None, margin: float = 0.25) -> tuple[F64, F64]:
+                clearance: Clearance | None = None, margin: float = 0.25,
+                watched: Sequence[float] | None = None) -> tuple[F64, F64]:
     """Cameras on a walk through a box, turning once or twice around, looking a little up and down.
 
     Arguments but these as for `path_around`.
@@ -110,6 +111,7 @@ def path_inside(n: int, seed: int, key: str, low: Sequence[float], high: Sequenc
         clearance: gives the distance to the nearest surface in metres (see the module); None: nothing is in
             the way.
         margin: metres that have to be free around the whole path.
+        watched: a point (x, y, z) that the cameras look at on the same walk, instead of turning around.
     """
     corner, size = np.array(low, dtype=np.float64), np.subtract(high, low)
     _check(n, float(size.min()), margin)
@@ -132,12 +134,24 @@ def path_inside(n: int, seed: int, key: str, low: Sequence[float], high: Sequenc
         if _free(partial(place, tighter=tighter), n, clearance, margin):
             t = _moments(n)
             position = place(t, tighter)
+            if watched is not None:
+                return _look(position, np.broadcast_to(watched, position.shape), sway, t)
             turned, pitch = yaw + 2 * np.pi * turns * t + 0.6 * veer(t), np.radians(-15 + 25 * nod(t))
             ahead = np.stack([np.cos(pitch) * np.cos(turned), np.cos(pitch) * np.sin(turned), np.sin(pitch)],
                              axis=1)
             return _look(position, position + ahead, sway, t)
         tighter *= _TIGHTER
     raise _crowded(key, "inside", margin)
+
+
+def look_at(position: F64, target: F64) -> tuple[F64, F64]:
+    """Upright cameras at `position` (n, 3) that look at `target` (n, 3), metres, not straight up or down.
+
+    Returns:
+        R (n, 3, 3), T (n, 3) metres, world to camera.
+    """
+    R = _level(position, target)
+    return R, -np.einsum("vij,vj->vi", R, position)
 
 
 class _Waves:
@@ -188,14 +202,19 @@ def _clearest(walk: Callable[[F64], F64], corner: F64, size: F64, wave: _Waves,
 
 def _look(position: F64, target: F64, sway: Sequence[Callable[[F64], F64]], t: F64) -> tuple[F64, F64]:
     """World to camera for cameras at `position` (n, 3) that look to `target`, rolled and shaken a little."""
+    level = _level(position, target)
+    roll, tremor = _ROLL * sway[0](t), [_TREMOR * wave(t) for wave in sway[1:]]
+    R = _turn(2, roll + tremor[2]) @ _turn(1, tremor[1]) @ _turn(0, tremor[0]) @ level
+    return R, -np.einsum("vij,vj->vi", R, position)
+
+
+def _level(position: F64, target: F64) -> F64:
+    """Rotations (n, 3, 3), world to camera: z to the target, x horizontal."""
     z = target - position
     z /= np.linalg.norm(z, axis=1, keepdims=True)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x, axis=1, keepdims=True)
-    level = np.stack([x, np.cross(z, x), z], axis=1)
-    roll, tremor = _ROLL * sway[0](t), [_TREMOR * wave(t) for wave in sway[1:]]
-    R = _turn(2, roll + tremor[2]) @ _turn(1, tremor[1]) @ _turn(0, tremor[0]) @ level
-    return R, -np.einsum("vij,vj->vi", R, position)
+    return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def _turn(axis: int, angle: F64) -> F64:

@@ -72,6 +72,8 @@ def test_the_section_changes_nothing_of_a_generated_data_set(tmp_path: Path) -> 
     ({"views": [1, 2, 3]}, r"synthesis\.views"),
     ({"sigma": [0.0, 1.5]}, r"synthesis\.sigma\[1\]"),
     ({"scale": [0.5, 1.1]}, r"synthesis\.scale\[1\]"),
+    ({"zoom": [0.5, 2]}, r"synthesis\.zoom\[0\].*found 0\.5"),
+    ({"cameras": "sphere"}, r"synthesis\.cameras\.sphere.*'path' or 'single'"),
     ({"samples_per_epoch": 0}, r"synthesis\.samples_per_epoch"),
     ({"up": "w"}, r"synthesis\.up.*'x', 'y' or 'z'"),
     ({"noise": "salt"}, r"synthesis\.noise\.salt.*'park' or 'kinect'"),
