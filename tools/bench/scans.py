@@ -1,10 +1,16 @@
-"""Surfaces of a few frames of a scan, by each method, against plain fusion of all its frames.
+"""Surfaces of a few frames of a scan, by each method, against plain fusion of its other frames.
 
-    python tools/bench/scans.py SCAN --frames 10 20
+    python tools/bench/scans.py SCAN --frames 10 20 --apart 2
 
-At 256^3, in the largest object of the scan. Accuracy is the mean distance from the surface to the reference,
-completeness that from the reference to the surface, F-score the harmonic mean of the shares within one voxel.
-The reference holds the frames of the input too, as is usual where a scan is all there is.
+At 256^3, in the largest object of the scan. The frames of the input are spread evenly, and the reference
+holds only those that are more than `--apart` frames away from each of them; where that would leave less than
+30 % of the scan, the input takes several consecutive frames at fewer places.
+
+Accuracy is the mean distance from the surface to the reference, over the part of it that the reference's
+frames looked at and do not hide behind something; completeness that from the reference to the surface, over
+the part that the input's frames measured; F-score the harmonic mean of the shares within one voxel. "thin" is
+the share, within a voxel, of what is thinner than 3 voxels in the reference, "flat" the standard deviation
+from flat on the three largest planes.
 """
 
 from __future__ import annotations
@@ -12,27 +18,88 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+import torch
+from numba import set_num_threads
+from reconstructions import (
+    RESOLUTION,
+    SAMPLES,
+    Comparison,
+    Truth,
+    compare,
+    largest_planes,
+    methods,
+    surface_of,
+    table_of,
+)
 from rich.console import Console
-from rich.table import Table
+from rich.progress import track
 
-from ocnf_data.fusion import DepthPyramid
-from ocnf_data.views.scans import read_scan
-from ocnf_model.checkpoint import SHIPPED, open_run
-from ocnf_model.evaluation.methods import default_weight
-from ocnf_model.measures.figures import f_score
-from ocnf_model.measures.surface import Surface, sample_triangles
+from ocnf_data.arrays import F64, Bool
+from ocnf_data.fusion import DepthPyramid, default_truncation
+from ocnf_data.views.cameras import Views
+from ocnf_data.views.rigs import view_subset
+from ocnf_data.views.scans import Scan, read_scan
+from ocnf_model.checkpoint import SHIPPED
+from ocnf_model.measures.surface import sample_triangles
+from ocnf_model.measures.thickness import local_thickness
 from ocnf_model.scan.fuse import choose_region, reconstruct
-from ocnf_model.scan.fusers import Baseline, Fuser, Learned
-from ocnf_model.scan.reconstruction import Reconstruction
+from ocnf_model.scan.fusers import Baseline
+from ocnf_model.scan.region import Region, observed
 
-_RESOLUTION = 256
-_SAMPLES = 30_000
+_LEAST = 0.3  # share of a scan's frames that the reference has at least
+_THIN = 3.0  # voxels
 
 
-def surface_of(found: Reconstruction) -> Surface:
-    """The surface in metres, a part a triangle."""
-    triangles = found.vertices[found.faces].astype(np.float32)  # (M, 3, 3)
-    return Surface(triangles, np.arange(len(triangles) + 1), triangles.mean(axis=1))
+def split_frames(n: int, k: int, apart: int) -> tuple[list[int], list[int]]:
+    """The numbers of k of n frames for the input, and those more than `apart` frames away from all of them.
+
+    The k frames stand in groups of equal length, as many and as evenly spread as leaves 30 % of the frames.
+
+    >>> split_frames(12, 2, 1)
+    ([0, 11], [2, 3, 4, 5, 6, 7, 8, 9])
+    >>> split_frames(12, 4, 1)
+    ([0, 1, 10, 11], [3, 4, 5, 6, 7, 8])
+    """
+    for groups in (g for g in range(k, 0, -1) if k % g == 0):
+        length = k // groups
+        chosen = sorted({int(first) + i for first in view_subset(n - length + 1, groups)
+                         for i in range(length)})
+        rest = [i for i in range(n) if min(abs(i - one) for one in chosen) > apart]
+        if len(chosen) == k and len(rest) >= _LEAST * n:
+            return chosen, rest
+    raise SystemExit(f"{n} frames are too few for {k} and a reference that is {apart} away from them")
+
+
+def part_of(scan: Scan, frames: list[int]) -> Scan:
+    """Some frames of a scan, without colour."""
+    return Scan(scan.views.subset(frames), tuple(scan.names[i] for i in frames))
+
+
+def looked_through(points: F64, views: Views, band: float) -> Bool:
+    """Which of the points (N, 3) some view has in its picture, and not behind what it measured there."""
+    found = np.zeros(len(points), bool)
+    height, width = views.size
+    for depth, K, R, T in zip(views.depth, views.K, views.R, views.T, strict=True):
+        x, y, z = R @ points.T + T[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = np.floor(K[0, 0] * x / z + K[0, 2] + 0.5), np.floor(K[1, 1] * y / z + K[1, 2] + 0.5)
+        inside = np.flatnonzero((z > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height))
+        found[inside] |= z[inside] <= depth[v[inside].astype(int), u[inside].astype(int)] + band
+    return found
+
+
+def reference_of(scan: Scan, seen: Views, region: Region) -> Truth:
+    """Plain fusion of a scan, as what a surface of the views `seen` is held against."""
+    found = reconstruct(scan, DepthPyramid(scan.views), Baseline(RESOLUTION), region)
+    surface, voxel = surface_of(found.vertices, found.faces), region.size / RESOLUTION
+    band = default_truncation(RESOLUTION, region.size)
+    samples = sample_triangles(surface.triangles, SAMPLES)
+    thickness = local_thickness(found.octree, samples.points - region.centre, samples.normals, 4 * voxel,
+                                region.size)
+    asked = observed(samples.points, seen, band)
+    return Truth(surface, samples.points[asked], thickness[asked] < _THIN * voxel,
+                 largest_planes(samples.points, voxel), voxel,
+                 lambda points: looked_through(points, scan.views, band))
 
 
 def main() -> None:
@@ -40,30 +107,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scan")
     parser.add_argument("--frames", nargs="+", type=int, default=[10, 20])
+    parser.add_argument("--apart", type=int, default=2)
+    parser.add_argument("--runs", nargs="*", help="networks, by the names or folders of their runs")
+    parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
+    set_num_threads(arguments.threads)
+    torch.set_num_threads(arguments.threads)
     everything = read_scan(arguments.scan)
-    pyramid = DepthPyramid(everything.views)
-    region = choose_region(everything, pyramid, None, room=False)
-    plain = Baseline(_RESOLUTION)
-    reference = surface_of(reconstruct(everything, pyramid, plain, region))
-    voxel = region.size / _RESOLUTION
-    true = sample_triangles(reference.triangles, _SAMPLES).points
-    methods: dict[str, Fuser] = {"VolFus": plain, "TV-L1": Baseline(_RESOLUTION, default_weight(_RESOLUTION))}
-    methods |= {name: Learned.of(open_run(name), None) for name in SHIPPED}
-    table = Table(title=f"{arguments.scan}: {len(everything.views)} frames, voxels of {1000 * voxel:.2f} mm")
-    for heading in ("frames", "method", "accuracy mm", "completeness mm", "F-score"):
-        table.add_column(heading, justify="left" if heading == "method" else "right")
+    region = choose_region(everything, DepthPyramid(everything.views), None, room=False)
+    chosen = methods(SHIPPED if arguments.runs is None else arguments.runs)
+    rows: dict[tuple[str, ...], list[Comparison]] = {}
     for n in arguments.frames:
-        scan = read_scan(arguments.scan, frames=str(n))
-        views = DepthPyramid(scan.views)
-        for name, fuser in methods.items():
-            found = surface_of(reconstruct(scan, views, fuser, region))
-            there = sample_triangles(found.triangles, _SAMPLES).points
-            table.add_row(str(n), name, f"{1000 * reference.nearest(there)[0].mean():.2f}",
-                          f"{1000 * found.nearest(true)[0].mean():.2f}",
-                          f"{f_score(found, reference, voxel):.3f}")
-        table.add_section()
-    Console().print(table)
+        seen, others = split_frames(len(everything.views), n, arguments.apart)
+        scan = part_of(everything, seen)
+        truth = reference_of(part_of(everything, others), scan.views, region)
+        name = f"{n}, reference {len(others)}"
+        for method, make in track(chosen.items(), name, console=Console(stderr=True)):
+            rows[name, method] = [compare(make(scan, region), truth)]
+    Console().print(table_of(f"{arguments.scan}: {len(everything.views)} frames, voxels of "
+                             f"{1000 * region.size / RESOLUTION:.2f} mm", ("frames", "method"), rows))
 
 
 if __name__ == "__main__":
