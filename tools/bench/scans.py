@@ -14,13 +14,14 @@ standard deviation from flat on the three largest planes.
 
 Plain fusion of all frames also holds what a single frame mistook, which only plain fusion of other frames is
 likely to repeat. So there are two tables: by all of the reference, and by the part of it that at least three
-of its frames have measured to within a voxel.
+of its frames have measured to within a voxel, with accuracy where as many looked.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import torch
@@ -96,14 +97,14 @@ def behind(points: F64, views: Views) -> Iterator[F64]:
         yield found
 
 
-def looked_through(points: F64, views: Views, band: float) -> Bool:
-    """Which of the points (N, 3) some view measured something at or behind."""
-    return np.logical_or.reduce([off <= band for off in behind(points, views)])
+def looked_through(points: F64, views: Views, band: float, least: int) -> Bool:
+    """Which of the points (N, 3) so many views measured something at or behind."""
+    return np.asarray(sum((off <= band).astype(int) for off in behind(points, views)) >= least)
 
 
-def agreed(points: F64, views: Views, voxel: float) -> Bool:
-    """Which of the points (N, 3) three views have measured to within a voxel."""
-    return np.asarray(sum((np.abs(off) <= voxel).astype(int) for off in behind(points, views)) >= _AGREE)
+def agreed(points: F64, views: Views, voxel: float, least: int) -> Bool:
+    """Which of the points (N, 3) so many views have measured to within a voxel."""
+    return np.asarray(sum((np.abs(off) <= voxel).astype(int) for off in behind(points, views)) >= least)
 
 
 def references_of(scan: Scan, seen: Views, region: Region) -> dict[str, Truth]:
@@ -111,8 +112,8 @@ def references_of(scan: Scan, seen: Views, region: Region) -> dict[str, Truth]:
     found = reconstruct(scan, DepthPyramid(scan.views), Baseline(RESOLUTION), region)
     voxel, band = region.size / RESOLUTION, default_truncation(RESOLUTION, region.size)
     truths = {}
-    for name, kept in (("all", np.ones(len(found.vertices), bool)),
-                       (f"what {_AGREE} frames agree on", agreed(found.vertices, scan.views, voxel))):
+    for name, least in (("all", 0), (f"what {_AGREE} frames agree on", _AGREE)):
+        kept = agreed(found.vertices, scan.views, voxel, least)
         surface = surface_of(*keep_vertices(found.vertices, found.faces, kept))
         samples = sample_triangles(surface.triangles, SAMPLES)
         thickness = local_thickness(found.octree, samples.points - region.centre, samples.normals, 4 * voxel,
@@ -120,7 +121,7 @@ def references_of(scan: Scan, seen: Views, region: Region) -> dict[str, Truth]:
         asked = observed(samples.points, seen, band)
         truths[name] = Truth(surface, samples.points[asked], thickness[asked] < _THIN * voxel,
                              largest_planes(samples.points, voxel), voxel,
-                             lambda points: looked_through(points, scan.views, band))
+                             partial(looked_through, views=scan.views, band=band, least=max(least, 1)))
     return truths
 
 
