@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ocnf_data.views.cameras import Views
 from ocnf_model.measures.surface import Surface
 
 BENCH = Path(__file__).parent.parent / "tools" / "bench"
@@ -93,3 +94,18 @@ def test_too_few_frames_are_said_to_be(bench: Any) -> None:
     _, scans = bench
     with pytest.raises(SystemExit, match="20 frames are too few for 15"):
         scans.split_frames(20, 15, 2)
+
+
+def test_what_is_measured_thrice_is_agreed_on_and_what_is_behind_is_not_judged(bench: Any) -> None:
+    """Cameras side by side that look along z at a wall of depth 2, of which the last saw nothing."""
+    _, scans = bench
+    depth = np.full((4, 8, 8), 2.0, np.float32)
+    depth[0, :, :4] = 1.0  # something before the left half, in the first frame alone
+    depth[3] = 0
+    K = np.array([[8.0, 0, 3.5], [0, 8, 3.5], [0, 0, 1]])
+    views = Views(depth, K, np.tile(np.eye(3), (4, 1, 1)), np.zeros((4, 3)))
+    points = np.array([[0.1, 0, 2], [-0.1, 0, 2], [-0.1, 0, 1], [0.1, 0, 2.015], [0.1, 0, 2.1], [5, 0, 2]])
+    np.testing.assert_array_equal(scans.agreed(points, views, VOXEL, 3), [1, 0, 0, 1, 0, 0])
+    assert scans.agreed(points, views, VOXEL, 0).all()
+    np.testing.assert_array_equal(scans.looked_through(points, views, VOXEL, 1), [1, 1, 1, 1, 0, 0])
+    np.testing.assert_array_equal(scans.looked_through(points, views, VOXEL, 3), [1, 0, 1, 1, 0, 0])
