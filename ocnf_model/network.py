@@ -76,6 +76,17 @@ class NormalisedConv3d(OctreeConv3d):
         return y.with_features(self.norm(y.features))
 
 
+def freeze_statistics(module: nn.Module) -> None:
+    """Let batch normalisation scale and shift by what it has gathered so far, until the next `train()`.
+
+    In training it uses the statistics of the batch, in use the running ones. Weights that were fitted to the
+    one are not the best ones for the other, least of all with one or two samples a batch.
+    """
+    for part in module.modules():
+        if isinstance(part, nn.BatchNorm1d):
+            part.eval()
+
+
 @dataclass(frozen=True, eq=False)
 class LevelOutput:
     """What a level makes.

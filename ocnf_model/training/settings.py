@@ -72,6 +72,10 @@ class Stage(Strict):
     """Voxels along each axis of the box around the surface that a sample is trained on, in multiples of 32;
     None for the whole grid (the paper). Validation takes the whole grid."""
 
+    freeze_after: Annotated[Int, Field(ge=0)] | None = None
+    """Epochs after which batch normalisation keeps its statistics, so that a level is trained as it is used;
+    0 for a level that begins with another's. None for never."""
+
     def rate(self, done: int, steps: int) -> float:
         """The learning rate of a step.
 
@@ -174,6 +178,14 @@ class TrainSettings(Strict):
         if self.context and self.stage(0).crop is not None:
             raise refused("the first level's context needs the whole grid", at="stages[0].crop",
                           found=self.stage(0).crop, expected="null, or context: 0")
+        return self
+
+    @model_validator(mode="after")
+    def _something_to_freeze(self) -> TrainSettings:
+        for level, stage in enumerate(self.stages):
+            if stage.freeze_after is not None and self.normalise is Normaliser.NONE:
+                raise refused("there are no statistics to keep", at=f"stages[{level}].freeze_after",
+                              found=stage.freeze_after, expected="null, or normalise: batch")
         return self
 
     @field_validator("resolutions")

@@ -27,7 +27,7 @@ from ocnf_model.checkpoint import (
     torch_version,
 )
 from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
-from ocnf_model.network import LevelOutput, OctNetFusion, Output
+from ocnf_model.network import LevelOutput, OctNetFusion, Output, freeze_statistics
 from ocnf_model.training.average import WeightAverage
 from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.choice import is_better
@@ -121,6 +121,8 @@ class Trainer:
         self._report.begin(f"epoch {state.epoch + 1} of {self._stage.epochs}", n_batches, state.step)
         self._job.network.eval()  # the levels before: their normalisation stays as it was trained
         self._level.train()
+        if self._stage.freeze_after is not None and state.epoch >= self._stage.freeze_after:
+            freeze_statistics(self._level)
         met: list[tuple[AnyBatch, Tensor]] = []
         for batch in loader:
             met.append((batch, self._backward(batch, n_batches)))
