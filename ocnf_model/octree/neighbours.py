@@ -2,8 +2,11 @@
 
 For a leaf c and an offset k = 9 kz + 3 ky + kx (k - 1 = -1, 0, 1 along each axis), row (c, k) of the overlap
 matrix holds, for each leaf l, the fraction of the voxels v of c for which v + k - 1 lies in l. Voxels outside
-the grid count for nothing. Rows of *regular* leaves, one voxel wide and not at the border of their grid, have
-a single entry of 1 each: they are kept as a plain index table, all others as sparse rows.
+the grid count for nothing.
+
+The leaves of a tree come in two kinds, in this order: *wide* ones, 8, 4 or 2 voxels wide, whose rows are
+sparse; then *octets*, the eight voxels of a divided node, whose rows have a single entry of 1 each: for them
+it is enough to know the leaves at the 4x4x4 voxels in and around the octet.
 """
 
 from __future__ import annotations
@@ -16,31 +19,31 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from ocnf_data.arrays import F32, I16, I32, I64, Bool, Prefix, TreeArray
-from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, tree_leaves
+from ocnf_data.arrays import F32, I16, I32, I64, Prefix, TreeArray
+from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, popcount, tree_leaves
 from ocnf_model.octree.leaves import tree_at, tree_place
 from ocnf_model.octree.structure import Structure
 
 N_OFFSETS = 27
+N_AROUND = 64  # voxels in and around an octet
 HALO = 10  # a tree and one voxel around it
 Corner: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The overlap matrix of a structure.
+    """The overlap matrix of a structure with L leaves: O octets and I wide leaves.
 
     Attributes:
-        regular: (R,) int64, the regular leaves in order.
-        table: (R, 27) int32, for each of them the leaf at each offset.
-        irregular: (I,) int64, all other leaves.
+        octets: (O, 64) int32, the leaf at each voxel (z, y, x) in and around an octet; L outside the grid.
+        voxels, wide: (8 O,) and (I,) int64, the leaves that are voxels and the others, each in order.
         starts: (27 I + 1,) int32, row (i, k) has the entries starts[27 i + k] to starts[27 i + k + 1].
         columns, weights: (N,) int32 and float32, the leaf and the fraction of each entry.
     """
 
-    regular: Tensor
-    table: Tensor
-    irregular: Tensor
+    octets: Tensor
+    voxels: Tensor
+    wide: Tensor
     starts: Tensor
     columns: Tensor
     weights: Tensor
@@ -49,39 +52,27 @@ class Neighbours:
     def build(cls, structure: Structure) -> Neighbours:
         """Compute the matrix on the CPU."""
         trees, prefix, grid = structure.flat, structure.prefix, structure.grid
-        regular = regular_leaves(trees, prefix, grid)  # (L,) bool
-        rank = np.cumsum(regular, dtype=np.int64) - regular  # regular leaves in front of each leaf
-        n_regular = int(regular.sum())
-        starts = np.zeros(N_OFFSETS * (structure.n_leaves - n_regular) + 1, np.int64)  # (27 I + 1,)
-        count_irregular(trees, prefix, grid, regular, rank, starts[1:])
+        octet_prefix = octets_before(trees)  # (T + 1,)
+        starts = np.zeros(N_OFFSETS * int(prefix[-1] - 8 * octet_prefix[-1]) + 1, np.int64)  # (27 I + 1,)
+        count_wide(trees, prefix, grid, octet_prefix, starts[1:])
         np.cumsum(starts, out=starts)
-        table, columns, weights = fill(trees, prefix, grid, regular, rank, n_regular, starts)
-        return cls(
-            regular=torch.from_numpy(np.flatnonzero(regular)),
-            table=torch.from_numpy(table),
-            irregular=torch.from_numpy(np.flatnonzero(~regular)),
-            starts=torch.from_numpy(starts.astype(np.int32)),
-            columns=torch.from_numpy(columns),
-            weights=torch.from_numpy(weights),
-        )
+        octets, columns, weights = fill(trees, prefix, grid, octet_prefix, starts)
+        voxels, wide = (np.flatnonzero(of) for of in (structure.sizes == 1, structure.sizes > 1))
+        return cls(*(torch.from_numpy(array) for array in (
+            octets, voxels, wide, starts.astype(np.int32), columns, weights)))
 
     def to(self, device: torch.device) -> Neighbours:
         """The tables on a device."""
         return Neighbours(**{name: tensor.to(device) for name, tensor in vars(self).items()})
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def regular_leaves(trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int]) -> Bool:
-    """(L,) bool: leaves one voxel wide whose 27 neighbours all lie inside the grid."""
-    regular = np.empty(prefix[-1], np.bool_)  # (L,)
-    for t in prange(len(trees)):
-        _, gd, gh, gw = tree_place(t, grid)
-        cells = np.empty((MAX_LEAVES, 4), np.int16)
-        for leaf in range(tree_leaves(trees[t, 0], trees[t, 1], cells)):
-            z, y, x = 8 * gd + cells[leaf, 0], 8 * gh + cells[leaf, 1], 8 * gw + cells[leaf, 2]
-            inside = 0 < z < 8 * grid[0] - 1 and 0 < y < 8 * grid[1] - 1 and 0 < x < 8 * grid[2] - 1
-            regular[prefix[t] + leaf] = inside and cells[leaf, 3] == 1
-    return regular
+@njit(cache=True, nogil=True)
+def octets_before(trees: TreeArray) -> I64:
+    """(T + 1,): divided nodes of width 2, bits 9 to 72, in the trees before each, and in all."""
+    before = np.zeros(len(trees) + 1, np.int64)
+    for t in range(len(trees)):
+        before[t + 1] = before[t] + popcount(trees[t, 0] >> np.uint64(9)) + popcount(trees[t, 1])
+    return before
 
 
 @njit(cache=True, nogil=True)
@@ -186,24 +177,21 @@ def _around_tree(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def count_irregular(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: Bool,
-    rank: I64, counts: I64,
+def count_wide(
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], octet_prefix: I64, counts: I64
 ) -> None:
-    """Add the number of entries of each row (i, k) of the irregular leaves to `counts` (27 I,)."""
+    """Add the number of entries of each row (i, k) of the wide leaves to `counts` (27 I,)."""
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
-        leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
+        n_wide = n - 8 * (octet_prefix[t + 1] - octet_prefix[t])
+        row = N_OFFSETS * (prefix[t] - 8 * octet_prefix[t])
         found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
-        if n > 1:
+        leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
+        if n > 1 and n_wide:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
-        for cell in range(n):
-            leaf = prefix[t] + cell
-            if regular[leaf]:
-                continue
-            row = N_OFFSETS * (leaf - rank[leaf])
-            n_found = _around_leaf(cells[cell], leaves, widths, found) if n > 1 \
+        for i in range(n_wide):
+            n_found = _around_leaf(cells[i], leaves, widths, found) if n > 1 \
                 else _around_tree(trees, prefix, grid, t, found)
             for m in range(n_found):
                 for kz in range(3):
@@ -211,46 +199,52 @@ def count_irregular(
                         if found[m, 1 + kz] * found[m, 4 + ky] > 0:
                             for kx in range(3):
                                 counts[row + 9 * kz + 3 * ky + kx] += found[m, 7 + kx] > 0
+            row += N_OFFSETS
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def fill(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], regular: Bool,
-    rank: I64, n_regular: int, starts: I64,
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], octet_prefix: I64, starts: I64
 ) -> tuple[I32, I32, F32]:
-    """The table of the regular leaves, and columns and weights of the others, as in `Neighbours`."""
-    table = np.empty((n_regular, N_OFFSETS), np.int32)  # (R, 27)
+    """`octets`, `columns` and `weights`, as in `Neighbours`."""
+    octets = np.empty((octet_prefix[-1], N_AROUND), np.int32)  # (O, 64)
     columns = np.empty(starts[-1], np.int32)  # (N,)
     weights = np.empty(starts[-1], np.float32)  # (N,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
+        n_wide = n - 8 * (octet_prefix[t + 1] - octet_prefix[t])
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
         found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         if n > 1:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
-        for cell in range(n):
-            leaf = prefix[t] + cell
-            z, y, x, w = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
-            if regular[leaf]:
-                row = table[rank[leaf]]
-                for k in range(N_OFFSETS):
-                    row[k] = leaves[z + k // 9, y + k // 3 % 3, x + k % 3]
-                continue
-            n_found = _around_leaf(cells[cell], leaves, widths, found) if n > 1 \
+        row = N_OFFSETS * (prefix[t] - 8 * octet_prefix[t])
+        for i in range(n_wide):
+            n_found = _around_leaf(cells[i], leaves, widths, found) if n > 1 \
                 else _around_tree(trees, prefix, grid, t, found)
-            first = N_OFFSETS * (leaf - rank[leaf])
-            cursor = starts[first : first + N_OFFSETS].copy()  # (27,)
-            for m in range(n_found):
-                for kz in range(3):
-                    for ky in range(3):
-                        area = found[m, 1 + kz] * found[m, 4 + ky]
-                        if area == 0:
-                            continue
-                        for kx in range(3):
-                            if found[m, 7 + kx] > 0:
-                                k = 9 * kz + 3 * ky + kx
-                                columns[cursor[k]] = found[m, 0]
-                                weights[cursor[k]] = area * found[m, 7 + kx] / (w * w * w)
-                                cursor[k] += 1
-    return table, columns, weights
+            _fill_rows(found[:n_found], starts[row : row + N_OFFSETS].copy(), cells[i, 3], columns, weights)
+            row += N_OFFSETS
+        for o in range(octet_prefix[t], octet_prefix[t + 1]):
+            first = n_wide + 8 * (o - octet_prefix[t])
+            z, y, x = cells[first, 0], cells[first, 1], cells[first, 2]
+            around = leaves[z : z + 4, y : y + 4, x : x + 4].copy().reshape(N_AROUND)
+            for v in range(N_AROUND):
+                octets[o, v] = around[v] if around[v] >= 0 else prefix[-1]
+    return octets, columns, weights
+
+
+@njit(cache=True, nogil=True)
+def _fill_rows(found: I32, cursor: I64, w: int, columns: I32, weights: F32) -> None:
+    """The 27 rows of a leaf of width w, from `found`; row k begins at entry cursor[k]."""
+    for m in range(len(found)):
+        for kz in range(3):
+            for ky in range(3):
+                area = found[m, 1 + kz] * found[m, 4 + ky]
+                if area == 0:
+                    continue
+                for kx in range(3):
+                    if found[m, 7 + kx] > 0:
+                        k = 9 * kz + 3 * ky + kx
+                        columns[cursor[k]] = found[m, 0]
+                        weights[cursor[k]] = area * found[m, 7 + kx] / (w * w * w)
+                        cursor[k] += 1

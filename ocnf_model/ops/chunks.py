@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from ocnf_model.octree.leafmap import sparse_product
 from ocnf_model.octree.neighbours import N_OFFSETS, Neighbours
+from ocnf_model.ops.gather import copy_rows, gather_octets
 
 _Result = TypeVar("_Result")
 
@@ -19,27 +21,34 @@ _Result = TypeVar("_Result")
 # product; on a GPU as much as keeps it busy.
 _CPU_ELEMENTS = 2**20
 _GPU_ELEMENTS = 2**27
+# (8, 27): which of the 4x4x4 voxels in and around an octet are those around each of its own.
+_AROUND = torch.arange(64).view(4, 4, 4).unfold(0, 3, 1).unfold(1, 3, 1).unfold(2, 3, 1).reshape(8, N_OFFSETS)
 _MIN_CHUNKS = 4  # a thread: with fewer it is not worth starting
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive leaves among the regular or the irregular ones, and the sparse entries of the latter."""
+    """Consecutive octets, or wide leaves and their sparse entries."""
 
-    leaves: slice
+    rows: slice
     entries: slice | None
+
+    def __len__(self) -> int:
+        """Number of leaves."""
+        return (self.rows.stop - self.rows.start) * (8 if self.entries is None else 1)
 
 
 def plan(neighbours: Neighbours, channels: int) -> list[Chunk]:
-    """Chunks of all leaves, for features of that many channels: regular ones first."""
-    elements = _CPU_ELEMENTS if neighbours.table.device.type == "cpu" else _GPU_ELEMENTS
-    size = max(1, elements // (N_OFFSETS * channels))
-    n_regular, n_irregular = len(neighbours.regular), len(neighbours.irregular)
-    chunks = [Chunk(slice(i, min(i + size, n_regular)), None) for i in range(0, n_regular, size)]
+    """Chunks of all leaves, for features of that many channels: octets first."""
+    elements = _CPU_ELEMENTS if neighbours.octets.device.type == "cpu" else _GPU_ELEMENTS
+    size = max(8, elements // (N_OFFSETS * channels))
+    n_octets, n_wide = len(neighbours.octets), len(neighbours.wide)
+    # All of a kind have one length but the last: oneDNN compiles a kernel for each.
+    chunks = [Chunk(slice(i, min(i + size // 8, n_octets)), None) for i in range(0, n_octets, size // 8)]
     # One transfer for all bounds: on a GPU, reading them one by one would wait for each.
     bounds = [*neighbours.starts[:: N_OFFSETS * size].tolist(), len(neighbours.columns)]
-    for n, i in enumerate(range(0, n_irregular, size)):
-        chunks.append(Chunk(slice(i, min(i + size, n_irregular)), slice(bounds[n], bounds[n + 1])))
+    for n, i in enumerate(range(0, n_wide, size)):
+        chunks.append(Chunk(slice(i, min(i + size, n_wide)), slice(bounds[n], bounds[n + 1])))
     return chunks
 
 
@@ -49,22 +58,48 @@ def gather(neighbours: Neighbours, features: Tensor,
 
     The second tensor is overwritten by the next chunk.
     """
-    table = neighbours.table.view(-1)  # (R, 27) -> (27 R,)
-    lengths = [chunk.leaves.stop - chunk.leaves.start for chunk in chunks if chunk.entries is None]
-    buffer = features.new_empty(N_OFFSETS * max(lengths, default=0), features.shape[1])
+    features = features.detach()
+    lengths = [len(chunk) for chunk in chunks if chunk.entries is None]
+    buffer = features.new_empty(max(lengths, default=0), N_OFFSETS * features.shape[1])
     # Sums are of float32; all rows are converted once, not by each chunk.
     summed = features.float() if len(lengths) < len(chunks) and features.element_size() < 4 else features
+    copy = _copy_by_kernel if features.device.type == "cpu" else _copy
     for chunk in chunks:
-        first, end = N_OFFSETS * chunk.leaves.start, N_OFFSETS * chunk.leaves.stop
         if chunk.entries is None:
-            leaves = neighbours.regular[chunk.leaves]  # (m,)
-            gathered = torch.index_select(features, 0, table[first:end], out=buffer[: end - first])
+            leaves = neighbours.voxels[8 * chunk.rows.start : 8 * chunk.rows.stop]  # (m,)
+            copy(neighbours.octets[chunk.rows], features, buffer[: len(chunk)])
+            yield leaves, buffer[: len(chunk)]
         else:
-            leaves = neighbours.irregular[chunk.leaves]  # (m,)
-            starts = neighbours.starts[first : end + 1] - chunk.entries.start  # (27 m + 1,)
-            gathered = sparse_product(starts, neighbours.columns[chunk.entries],
+            leaves = neighbours.wide[chunk.rows]  # (m,)
+            starts = neighbours.starts[N_OFFSETS * chunk.rows.start : N_OFFSETS * chunk.rows.stop + 1]
+            gathered = sparse_product(starts - chunk.entries.start, neighbours.columns[chunk.entries],
                                       neighbours.weights[chunk.entries], summed).to(features.dtype)
-        yield leaves, gathered.view(len(leaves), -1)  # (27 m, C) -> (m, 27 C)
+            yield leaves, gathered.view(len(leaves), -1)  # (27 m, C) -> (m, 27 C)
+
+
+def _copy(octets: Tensor, features: Tensor, out: Tensor) -> None:
+    """Write the rows around each voxel of (o, 64) octets, (8 o, 27 C)."""
+    padded = torch.cat([features, features.new_zeros(1, features.shape[1])])  # (L + 1, C)
+    around = octets[:, _AROUND.view(-1).to(octets.device)].view(-1)  # (o, 64) -> (216 o,)
+    torch.index_select(padded, 0, around, out=out.view(-1, features.shape[1]))
+
+
+def _copy_by_kernel(octets: Tensor, features: Tensor, out: Tensor) -> None:
+    """The same on a CPU."""
+    gather_octets(octets.numpy(), _as_numpy(features), _as_numpy(out))
+
+
+def put_rows(out: Tensor, leaves: Tensor, rows: Tensor) -> None:
+    """out[leaves] = rows, (m, C); without a gradient."""
+    if out.device.type == "cpu":
+        copy_rows(leaves.numpy(), _as_numpy(rows.contiguous()), _as_numpy(out))
+    else:
+        out.index_copy_(0, leaves, rows)
+
+
+def _as_numpy(tensor: Tensor) -> npt.NDArray[Any]:
+    """The same memory; as whole numbers where numpy has no such floats."""
+    return (tensor.view(torch.int16) if tensor.element_size() == 2 else tensor).numpy()
 
 
 def map_chunks(work: Callable[[Sequence[Chunk]], _Result], chunks: Sequence[Chunk],

@@ -24,7 +24,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.neighbours import Neighbours
 from ocnf_model.octree.structure import Structure
-from ocnf_model.ops.chunks import Chunk, gather, map_chunks, plan
+from ocnf_model.ops.chunks import Chunk, gather, map_chunks, plan, put_rows
 from ocnf_model.ops.gemm import linear
 
 
@@ -104,7 +104,7 @@ class _Convolution(torch.autograd.Function):
 
         def convolve(chunks: Sequence[Chunk]) -> None:
             for leaves, gathered in gather(neighbours, features, chunks):
-                result.index_copy_(0, leaves, linear(gathered, matrix, bias))  # (m, 27 C_in) -> (m, C_out)
+                put_rows(result, leaves, linear(gathered, matrix, bias))  # (m, 27 C_in) -> (m, C_out)
 
         map_chunks(convolve, plan(neighbours, features.shape[1]), features.device)
         return result
@@ -129,10 +129,10 @@ class _Convolution(torch.autograd.Function):
             for leaves, gathered in gather(neighbours, scaled, chunks):
                 voxels = volumes.index_select(0, leaves)  # (m, 1)
                 if grad_features is not None:
-                    grad_features.index_copy_(0, leaves, linear(gathered, matrix).mul_(voxels))
+                    put_rows(grad_features, leaves, linear(gathered, matrix).mul_(voxels))
                 if wants_weight:
                     rows = features.index_select(0, leaves).mul_(voxels)  # (m, C_in)
-                    grad_matrix += linear(rows.T.contiguous(), gathered.T)  # (C_in, 27 C_out)
+                    grad_matrix += linear(rows.T, gathered.T)  # (C_in, 27 C_out)
             return grad_matrix
 
         grad_weight = None

@@ -52,6 +52,17 @@ def test_chunks_do_not_show(make_batch, dense, monkeypatch) -> None:
     torch.testing.assert_close(whole, reference(dense, x, conv.weight, conv.bias), rtol=1e-12, atol=1e-12)
 
 
+def test_the_gather_of_a_gpu_is_that_of_the_cpu(make_batch, monkeypatch) -> None:
+    """PyTorch's operations, which a GPU runs, in place of the compiled copy of octets."""
+    from ocnf_model.ops import chunks
+
+    x = make_batch(10, (2, 1, 3), batch_size=2, channels=3, likelihood=0.8)
+    conv = OctreeConv3d(3, 2).double()
+    compiled = conv(x).features
+    monkeypatch.setattr(chunks, "_copy_by_kernel", chunks._copy)
+    assert torch.equal(conv(x).features, compiled)
+
+
 def test_threads_share_the_work_and_repeat_themselves(make_batch, monkeypatch) -> None:
     monkeypatch.setattr("ocnf_model.ops.chunks._CPU_ELEMENTS", 27 * 3 * 20)
     x = make_batch(9, (2, 2, 2), channels=3, likelihood=0.8, dtype=torch.float32)
