@@ -1,6 +1,6 @@
 """Surfaces of procedural rooms out of a few frames, by each method, against the rooms themselves.
 
-    python tools/bench/rooms.py --rooms 3 --frames 10 20
+    python tools/bench/rooms.py --rooms 2 --frames 10 20
 
 Rooms of the split `test`, which nothing is trained on, seen by a camera like a Kinect's (640x480, focal
 length 585) on a hand-held path inside: without noise, with half of a Kinect's, with one and a half times as
@@ -129,7 +129,7 @@ class Room:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rooms", type=int, default=3)
+    parser.add_argument("--rooms", type=int, default=2)
     parser.add_argument("--frames", nargs="+", type=int, default=[10, 20])
     parser.add_argument("--runs", nargs="*", help="networks, by the names or folders of their runs")
     parser.add_argument("--threads", type=int, default=1)
