@@ -1,13 +1,14 @@
-"""What each setting is worth: rows of settings, each trained for the same processor time on one thread.
+"""What each setting is worth: rows of settings, each trained for the time that the paper's network needs.
 
-    python tools/bench/ablate.py OUT --results ablation.jsonl --seconds 200 --seeds 0 1 2
+    python tools/bench/ablate.py OUT --results ablation.jsonl --steps 250 --seeds 0 1 2
     python tools/bench/ablate.py OUT --results crops.jsonl --level 2 --run RUN --rows whole crop64
 
-Only steps count, not reading: data loaders read at the same time. The learning rate falls by a cosine over
-that time, so that slow rows are not stopped while theirs is high. Training draws from all inputs of the data
-set alike, validation is the data set's split `val`. Levels from the second on begin with the first levels of
-RUN, and with the weights of the level before. Finished rows are read from the results, so that a stopped call
-can go on.
+A row's steps are those of the first one, divided by how much longer one of its steps takes: the median of
+pairs of steps on the same samples, in turn, so that what else the machine does changes little. Reading does
+not count: data loaders read at the same time. The learning rate falls by a cosine over the row's steps.
+Training draws from all inputs of the data set alike, validation is the data set's split `val`. Levels from the
+second on begin with the first levels of RUN, and with the weights of the level before. Finished rows are read
+from the results, so that a stopped call can go on.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ from ocnf_model.training.validation import Validator
 _BATCH = {1: 2}  # samples a step; 1 at later levels
 _RATE = {1: 1e-3}  # the learning rate at first; 5e-4 at later levels
 _WARM_UP = 20  # steps
+_COMPARED = 9  # steps of two rows in turn, the first two of which do not count
 
 
 def log_l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str) -> Tensor:
@@ -101,13 +103,74 @@ class Task:
         row: name in `ROWS`.
         seed: of the weights and of the order of the samples.
         level: which one is trained, from 1.
-        seconds: processor time of its steps.
+        base: row whose time is the measure.
+        steps: steps of that one.
     """
 
     row: str
     seed: int
     level: int
-    seconds: float
+    base: str
+    steps: int
+
+
+class Training:
+    """A row in training, step by step.
+
+    Args:
+        network: the network, of which the last level is trained.
+        settings: settings of the row.
+        batches: samples without end.
+        loss: its loss.
+    """
+
+    def __init__(self, network: OctNetFusion, settings: TrainSettings, batches: Iterator[AnyBatch],
+                 loss: Callable[..., Tensor]) -> None:
+        self.network, self.settings = network, settings
+        self._batches, self._loss = batches, loss
+        self._last = settings.levels - 1
+        self._stage = settings.stage(self._last)
+        self._level = network.levels[self._last]
+        self._optimiser = torch.optim.Adam(self._level.parameters(), self._stage.learning_rate,
+                                           weight_decay=self._stage.weight_decay)
+        self._average = WeightAverage(self._level, settings.average) if settings.average else None
+        self._done = 0
+        network.eval()
+        self._level.train()
+
+    def step(self, n_steps: int) -> float:
+        """One step of `n_steps`; the processor seconds that it took, without reading."""
+        batch = next(self._batches)
+        began = time.process_time()
+        warm = min(1.0, (self._done + 1) / _WARM_UP)
+        self._optimiser.param_groups[0]["lr"] = self._stage.rate(self._done, n_steps) * warm
+        self._losses(batch).mean().backward()
+        torch.nn.utils.clip_grad_norm_(self._level.parameters(), 1.0)
+        self._optimiser.step()
+        self._optimiser.zero_grad()
+        self._done += 1
+        if self._average is not None:
+            self._average.update(self._done)
+        return time.process_time() - began
+
+    def finish(self) -> None:
+        """Take the averaged weights, if there are some."""
+        if self._average is not None:
+            self._level.load_state_dict(self._average.tensors)
+
+    def _losses(self, batch: AnyBatch) -> Tensor:
+        example, crop = _example(batch), self._stage.crop
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
+            if crop is None:
+                raw = self.network.run(example.inputs, frozen=self._last)[-1].raw
+                return self._loss(raw, example.target, "none")
+            size, seed = crop // TREE_WIDTH, self.settings.seed
+            corners = draw_corners(example.target.structure, size, seed, batch.epoch, batch.keys)
+            return crop_losses(self.network, example, self._last, corners, size, self._loss)
+
+
+def _example(batch: AnyBatch) -> Example:
+    return make_example(batch, Output.TSDF, Output.TSDF, torch.device("cpu"))
 
 
 class Bench:
@@ -125,22 +188,35 @@ class Bench:
         self._manifest = Manifest.from_dict(load_dataset(data).manifest)
 
     def run(self, task: Task) -> dict[str, Any]:
-        """Steps, and for each input the figures of validation."""
-        fields = dict(ROWS[task.row])
+        """Steps, their cost, and for each input the figures of validation."""
+        run = self._begin(task.row, task)
+        cost = 1.0 if task.row == task.base else self._cost(run, self._begin(task.base, task))
+        run = self._begin(task.row, task)  # anew
+        steps = round(task.steps / cost)
+        for _ in range(steps):
+            run.step(steps)
+        run.finish()
+        scores = {name: self._validate(run.network.eval(), run.settings, name) for name in self._inputs}
+        parameters = sum(p.numel() for p in run.network.levels[task.level - 1].parameters())
+        return {**asdict(task), "steps": steps, "cost": cost, "scores": scores, "parameters": parameters}
+
+    def _cost(self, ours: Training, theirs: Training) -> float:
+        """How much longer a step of ours takes than one of theirs."""
+        pairs = [(ours.step(_COMPARED), theirs.step(_COMPARED)) for _ in range(_COMPARED)]
+        return statistics.median(mine / other for mine, other in pairs[2:])
+
+    def _begin(self, row: str, task: Task) -> Training:
+        fields = dict(ROWS[row])
         loss = LOSSES[fields.pop("loss", "l1")]
-        crop = fields.pop("crop", None)
-        stage = {"batch_size": _BATCH.get(task.level, 1), "accumulate": 1, "crop": crop,
-                 "learning_rate": _RATE.get(task.level, 5e-4)}
+        stage = {"batch_size": _BATCH.get(task.level, 1), "accumulate": 1, "crop": fields.pop("crop", None),
+                 "learning_rate": _RATE.get(task.level, 5e-4), "decay": "cosine"}
         stages: list[dict[str, Any]] = [{}] * (task.level - 1) + [stage]
         parts = [{"variant": variant.name} for variant in self._manifest.inputs]
         settings = read_settings({**fields, "levels": task.level, "seed": task.seed, "stages": stages,
-                                  "mixture": parts, "samples_per_epoch": 2000}, task.row)
+                                  "precision": self._precision, "mixture": parts,
+                                  "samples_per_epoch": 2000}, row)
         settings = settings.resolved(self._manifest.to_dict(), None, self._data)
-        network = self._network(settings, task)
-        steps = self._train(network, settings, task, loss)
-        scores = {name: self._validate(network.eval(), settings, name) for name in self._inputs}
-        return {**asdict(task), "steps": steps, "scores": scores,
-                "parameters": sum(p.numel() for p in network.levels[task.level - 1].parameters())}
+        return Training(self._network(settings, task), settings, self._batches(settings, task), loss)
 
     def _network(self, settings: TrainSettings, task: Task) -> OctNetFusion:
         torch.manual_seed(task.seed)
@@ -152,50 +228,11 @@ class Bench:
             network.start_from_previous(task.level - 1)
         return network
 
-    def _train(self, network: OctNetFusion, settings: TrainSettings, task: Task,
-               loss: Callable[..., Tensor]) -> int:
-        level = network.levels[task.level - 1]
-        stage = settings.stage(task.level - 1)
-        optimiser = torch.optim.Adam(level.parameters(), stage.learning_rate, weight_decay=stage.weight_decay)
-        average = WeightAverage(level, settings.average) if settings.average else None
-        network.eval()
-        level.train()
-        spent, steps = 0.0, 0
-        for batch in self._batches(settings, task):
-            began = time.process_time()
-            rate = stage.learning_rate * (1 + math.cos(math.pi * spent / task.seconds)) / 2
-            optimiser.param_groups[0]["lr"] = rate * min(1.0, (steps + 1) / _WARM_UP)
-            self._losses(network, batch, settings, task, loss).mean().backward()
-            torch.nn.utils.clip_grad_norm_(level.parameters(), 1.0)
-            optimiser.step()
-            optimiser.zero_grad()
-            steps += 1
-            if average is not None:
-                average.update(steps)
-            spent += time.process_time() - began
-            if spent >= task.seconds:
-                break
-        if average is not None:
-            level.load_state_dict(average.tensors)
-        return steps
-
     def _batches(self, settings: TrainSettings, task: Task) -> Iterator[AnyBatch]:
         training = open_data(self._data, settings).training(Path(), settings, task.level - 1)
         for epoch in range(1_000_000):
             training.set_epoch(epoch)
             yield from training
-
-    def _losses(self, network: OctNetFusion, batch: AnyBatch, settings: TrainSettings, task: Task,
-                loss: Callable[..., Tensor]) -> Tensor:
-        example = self._example(batch)
-        crop = settings.stage(task.level - 1).crop
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._precision == "bfloat16"):
-            if crop is None:
-                raw = network.run(example.inputs, frozen=task.level - 1)[-1].raw
-                return loss(raw, example.target, "none")
-            size = crop // TREE_WIDTH
-            corners = draw_corners(example.target.structure, size, task.seed, batch.epoch, batch.keys)
-            return crop_losses(network, example, task.level - 1, corners, size, loss)
 
     @torch.no_grad()
     def _validate(self, network: OctNetFusion, settings: TrainSettings, variant: str) -> dict[str, float]:
@@ -204,27 +241,25 @@ class Bench:
         validator = Validator(network.output, network.encoding, tau)
         for batch in ShardDataset(self._data, "val", resolutions, settings.encoding, variant=variant,
                                   shuffle=False, uneven="exact"):
-            example = self._example(batch)
+            example = _example(batch)
             validator.add(network(example.inputs)[-1], example)
         found = validator.means(list)
         assert found is not None
         return {"mad": found.mad, "iou": found.iou, "f_score": found.f_score}
 
-    def _example(self, batch: AnyBatch) -> Example:
-        return make_example(batch, Output.TSDF, Output.TSDF, torch.device("cpu"))
-
 
 def print_table(results: list[dict[str, Any]], inputs: list[str]) -> None:
     """A line a row, in the order of the first input's MAD."""
-    table = Table(title="equal processor time; mean over seeds ± standard deviation")
-    for heading in ("row", "seeds", "parameters", "steps", *(f"{name}: MAD mm, IoU, F" for name in inputs)):
+    table = Table(title="equal time; mean over seeds ± standard deviation")
+    for heading in ("row", "seeds", "parameters", "cost of a step", "steps",
+                    *(f"{name}: MAD mm, IoU, F" for name in inputs)):
         table.add_column(heading, justify="left" if heading == "row" else "right")
     rows: dict[str, list[dict[str, Any]]] = {}
     for found in results:
         rows.setdefault(found["row"], []).append(found)
     for row, runs in sorted(rows.items(), key=lambda row: _mean_mad(row[1], inputs[0])):
-        steps = statistics.fmean(run["steps"] for run in runs)
-        table.add_row(row, str(len(runs)), f"{runs[0]['parameters']:,}", f"{steps:.0f}",
+        cost, steps = (statistics.fmean(run[field] for run in runs) for field in ("cost", "steps"))
+        table.add_row(row, str(len(runs)), f"{runs[0]['parameters']:,}", f"{cost:.2f}", f"{steps:.0f}",
                       *(", ".join((_spread(runs, name, "mad", 2), _spread(runs, name, "iou", 3),
                                    _spread(runs, name, "f_score", 3))) for name in inputs))
     Console(width=200).print(table)
@@ -247,7 +282,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, required=True, help="a line of JSON is appended for each run")
     parser.add_argument("--rows", nargs="*", choices=list(ROWS), default=list(ROWS)[:12])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--seconds", type=float, default=200)
+    parser.add_argument("--steps", type=int, default=250, help="of the first row")
     parser.add_argument("--level", type=int, default=1)
     parser.add_argument("--run", help="what levels from the second on stand on")
     parser.add_argument("--precision", choices=["float32", "bfloat16"], default="float32")
@@ -262,7 +297,7 @@ def main() -> None:
     manifest = Manifest.from_dict(load_dataset(arguments.data).manifest)
     inputs = arguments.inputs or [variant.name for variant in manifest.inputs]
     bench = Bench(arguments.data, inputs, arguments.run, arguments.precision)
-    todo = [Task(row, seed, arguments.level, arguments.seconds) for seed in arguments.seeds
+    todo = [Task(row, seed, arguments.level, arguments.rows[0], arguments.steps) for seed in arguments.seeds
             for row in arguments.rows if (row, seed) not in done]
     for task in track(todo, "training", console=Console(stderr=True), disable=not todo):
         results.append(bench.run(task))
