@@ -6,9 +6,9 @@
 A row's steps are those of the first one, divided by how much longer one of its steps takes: the median of
 pairs of steps on the same samples, in turn, so that what else the machine does changes little. Reading does
 not count: data loaders read at the same time. The learning rate falls by a cosine over the row's steps.
-Training draws from all inputs of the data set alike, validation is the data set's split `val`. Levels from the
-second on begin with the first levels of RUN, and with the weights of the level before. Finished rows are read
-from the results, so that a stopped call can go on.
+Training draws from all inputs of the data set alike, validation is the data set's split `val`. Levels from
+the second on begin with the first levels of RUN, and with the weights of the level before. Finished rows are
+read from the results, so that a stopped call can go on.
 """
 
 from __future__ import annotations
