@@ -21,10 +21,6 @@ from ocnf_model.completion.commands import complete_app
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.tables.command import tables_command
 
-# PyTorch reads this when it is loaded: large tensors get large pages, which the system hands out faster. With
-# small ones that takes a tenth of a training step on a CPU.
-os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
-
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   rich_markup_mode="markdown",
                   help="OctNetFusion: train, evaluate and inspect networks, and fuse depth with them.")
@@ -114,9 +110,11 @@ def train_command(
 
     `torchrun --nproc-per-node N -m ocnf_model.cli train ...` trains on N GPUs.
     """
+    from ocnf_model.devices import keep_freed_memory
     from ocnf_model.training.options import merge_options
     from ocnf_model.training.run import train
 
+    keep_freed_memory()
     chosen = merge_options(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
