@@ -161,26 +161,3 @@ def test_training_with_a_loader_in_another_process(number, data, tmp_path) -> No
     text = " ".join(lines)
     assert lines[-1] == f"stopped; the same command goes on in {out}"
     assert not any(word in text for word in ("Traceback", "semaphore", "Error", "arning")), text
-
-
-def test_a_thread_that_fails_while_all_is_stopped_says_nothing() -> None:
-    """As loky's manager does where it is stopped while it hands out work."""
-    script = """
-import os, signal, threading
-from ocnf_data.files import interrupts
-def fail(): raise RuntimeError(when)
-def run():
-    thread = threading.Thread(target=fail)
-    thread.start()
-    thread.join()
-interrupts.listen()
-when = "before"
-run()
-try:
-    os.kill(os.getpid(), signal.SIGTERM)
-except KeyboardInterrupt:
-    when = "after"
-    run()
-"""
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert "RuntimeError: before" in run.stderr and "after" not in run.stderr

@@ -65,13 +65,6 @@ def listen() -> None:
     _listener.process = os.getpid()
     for number in _SIGNALS:
         signal.signal(number, _listener.hear)
-    threading.excepthook = _thread_failed
-
-
-def _thread_failed(failure: threading.ExceptHookArgs) -> None:
-    """Print a thread's error, unless all is being stopped: a pool's threads then find their pool gone."""
-    if _listener.first is None:
-        threading.__excepthook__(failure)
 
 
 def exit_status() -> int:
