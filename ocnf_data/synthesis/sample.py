@@ -99,7 +99,7 @@ def make_inputs(manifest: Manifest, posed: Posed, look: Look, encoding: Encoding
         R, T = look_cameras(posed.scene, look)
         views = _render_scene(manifest, posed, R, T)
         if not look.background:
-            views = views.with_depth(np.where(np.isfinite(views.depth), views.depth, np.float32(0)))
+            views = views.without_background()
     pyramid = DepthPyramid(observe_look(views, look, metres))
     return {resolution: quantise(fuse_input(manifest, pyramid, encoding, resolution), encoding)
             for resolution in resolutions}

@@ -86,6 +86,10 @@ class Views:
         """Views of these cameras with other depth maps (V, H, W)."""
         return Views(depth, self.K, self.R, self.T)
 
+    def without_background(self) -> Views:
+        """The same views, but rays that meet nothing measure 0, as those of a sensor do, not inf."""
+        return self.with_depth(np.where(np.isfinite(self.depth), self.depth, np.float32(0)))
+
 
 def check_rotation(R: F64, where: object) -> None:
     """Raise OcnfError unless every (3, 3) matrix in R (V, 3, 3) is a proper rotation."""

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ocnf_model.octree.leafmap import sparse_product
-from ocnf_model.octree.neighbours import N_OFFSETS, Neighbours
+from ocnf_model.octree.neighbours import N_AROUND, N_OFFSETS, Neighbours
 from ocnf_model.ops.gather import copy_rows, gather_octets
 
 _Result = TypeVar("_Result")
@@ -22,7 +22,8 @@ _Result = TypeVar("_Result")
 _CPU_ELEMENTS = 2**20
 _GPU_ELEMENTS = 2**27
 # (8, 27): which of the 4x4x4 voxels in and around an octet are those around each of its own.
-_AROUND = torch.arange(64).view(4, 4, 4).unfold(0, 3, 1).unfold(1, 3, 1).unfold(2, 3, 1).reshape(8, N_OFFSETS)
+_AROUND = torch.arange(N_AROUND).view(4, 4, 4) \
+    .unfold(0, 3, 1).unfold(1, 3, 1).unfold(2, 3, 1).reshape(8, N_OFFSETS)
 _MIN_CHUNKS = 4  # a thread: with fewer it is not worth starting
 
 

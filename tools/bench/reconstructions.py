@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 
 from ocnf_data.arrays import F64, I64, Bool
 from ocnf_data.fusion import DepthPyramid
-from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Scan
 from ocnf_model.checkpoint import SHIPPED, open_run
 from ocnf_model.evaluation.methods import default_weight
@@ -60,11 +59,11 @@ def _open3d(scan: Scan, region: Region) -> Surface:
     volume = open3d.pipelines.integration.ScalableTSDFVolume(
         voxel_length=voxel, sdf_trunc=_OPEN3D_TRUNCATION * voxel,
         color_type=open3d.pipelines.integration.TSDFVolumeColorType.NoColor)
-    views = scan.views
+    views = scan.views.without_background()
     height, width = views.size
     blank = open3d.geometry.Image(np.zeros((height, width, 3), np.uint8))
     for depth, K, R, T in zip(views.depth, views.K, views.R, views.T, strict=True):
-        image = open3d.geometry.Image(np.where(np.isfinite(depth), depth, np.float32(0)))
+        image = open3d.geometry.Image(depth)
         pinhole = open3d.camera.PinholeCameraIntrinsic(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = R, T
@@ -204,11 +203,6 @@ def largest_planes(points: F64, voxel: float, n: int = 3, seed: int = 0) -> list
         found.append(flat_part(points, on, normal, float(middle @ normal), voxel))
         left &= ~on
     return found
-
-
-def without_background(views: Views) -> Views:
-    """The views with rays that meet nothing as a sensor has them: not measured."""
-    return views.with_depth(np.where(np.isfinite(views.depth), views.depth, np.float32(0)))
 
 
 def table_of(title: str, first: Iterable[str], rows: Mapping[tuple[str, ...], list[Comparison]]) -> Table:

@@ -28,7 +28,6 @@ from reconstructions import (
     flat_part,
     methods,
     table_of,
-    without_background,
 )
 from rich.console import Console
 from rich.progress import track
@@ -109,9 +108,9 @@ class Room:
     def walk(self, n: int) -> Views:
         """The views of a hand-held path, the same path for any number n of them."""
         low, high = self._placed.bounds
-        return without_background(self.see(*path_inside(
+        return self.see(*path_inside(
             n, _SEED, self.name, (*(low[:2] + _FROM_WALLS), _WALK[0]), (*(high[:2] - _FROM_WALLS), _WALK[1]),
-            self._placed.clearance, _MARGIN)))
+            self._placed.clearance, _MARGIN)).without_background()
 
     def measured(self, clean: Views, strength: float) -> Scan:
         """The views with a Kinect's noise."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,16 +21,21 @@ def stage(epochs: int, **changes) -> dict:
     return {"epochs": epochs, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-3, **changes}
 
 
+def assert_one_run_is_the_other(ours: Path, theirs: Path) -> None:
+    """States equal to the bit, and rows but for the time."""
+    (first, expected), (second, found) = load_state(ours), load_state(theirs)
+    assert expected.keys() == found.keys()
+    assert all(torch.equal(tensor, found[name]) for name, tensor in expected.items())
+    assert [(row.epoch, row.train_loss, row.val_mad, row.best) for row in first.rows] \
+        == [(row.epoch, row.train_loss, row.val_mad, row.best) for row in second.rows]
+
+
 def test_more_epochs_later_are_the_same_as_at_first(tiny, small, tmp_path) -> None:
     longer = small(levels=1, stages=[stage(3)])
     train(tiny, tmp_path / "once", longer, device="cpu")
     for epochs in (1, 3):
         train(tiny, tmp_path / "twice", small(levels=1, stages=[stage(epochs)]), device="cpu")
-    (once, expected), (twice, found) = (load_state(tmp_path / name) for name in ("once", "twice"))
-    assert expected.keys() == found.keys()
-    assert all(torch.equal(tensor, found[name]) for name, tensor in expected.items())
-    assert [(row.epoch, row.train_loss, row.val_mad, row.best) for row in once.rows] \
-        == [(row.epoch, row.train_loss, row.val_mad, row.best) for row in twice.rows]
+    assert_one_run_is_the_other(tmp_path / "once", tmp_path / "twice")
     fields = json.loads((tmp_path / "twice" / "settings.json").read_text())
     assert fields["extended"] == [{"level": 1, "epochs": 1, "raised_to": 3, "done": 1}]
     assert fields["settings"]["stages"][0]["epochs"] == 3
@@ -53,11 +59,7 @@ def test_fewer_epochs_later_are_the_same_as_at_first(tiny, small, tmp_path, monk
         patch.setattr(Reporter, "epoch", stop)  # after the first epoch
         train(tiny, tmp_path / "ended", small(levels=1, stages=[stage(3)]), device="cpu")
     train(tiny, tmp_path / "ended", once, device="cpu")
-    (first, expected), (second, found) = (load_state(tmp_path / name) for name in ("once", "ended"))
-    assert expected.keys() == found.keys()
-    assert all(torch.equal(tensor, found[name]) for name, tensor in expected.items())
-    assert [(row.epoch, row.train_loss, row.val_mad, row.best) for row in first.rows] \
-        == [(row.epoch, row.train_loss, row.val_mad, row.best) for row in second.rows]
+    assert_one_run_is_the_other(tmp_path / "once", tmp_path / "ended")
     fields = json.loads((tmp_path / "ended" / "settings.json").read_text())
     assert fields["extended"] == [{"level": 1, "epochs": 3, "lowered_to": epochs, "done": 1}]
 
