@@ -52,6 +52,7 @@ class Architecture(Strict):
     context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     residual: bool = False
     normalise: Normaliser = Normaliser.NONE
+    blend: bool = False
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
 
     @classmethod
@@ -193,6 +194,16 @@ def load_level(folder: Path, network: OctNetFusion, level: int) -> Header:
             raise OcnfError("weights that are not finite", code="damaged", where=path, field=name)
     network.levels[level].load_state_dict(weights)
     return header
+
+
+def level_architecture(folder: Path, level: int) -> Architecture:
+    """What the checkpoint of a level (from 0) says that the network is.
+
+    Raises:
+        OcnfError: as `parse_header`.
+    """
+    path = checkpoint_path(folder, level + 1)
+    return parse_header(path, read_header(path)).architecture
 
 
 def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:

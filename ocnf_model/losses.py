@@ -63,14 +63,22 @@ class Pair:
         return torch.stack([part.sum(0) for part in weighted.split(self.structure.leaves_per_grid)])  # (B, C)
 
 
-def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
-    """Mean |prediction - target| over the voxels; values in units of tau, not clipped."""
+def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduction.MEAN,
+            wrong_sign: float = 1.0) -> Tensor:
+    """Mean |prediction - target| over the voxels; values in units of tau, not clipped.
+
+    Args:
+        prediction: what was predicted.
+        target: the ground truth, of the same grids and channels.
+        reduction: what is returned.
+        wrong_sign: weight of a voxel that is taken for free but is occupied, or the other way round.
+    """
     pair = Pair.of(prediction, target)
-    return _reduce(pair, (pair.prediction - pair.target).abs(), reduction)
+    return _reduce(pair, _costs(pair, wrong_sign), reduction)
 
 
 def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
-                      reduction: str = Reduction.MEAN) -> Tensor:
+                      reduction: str = Reduction.MEAN, wrong_sign: float = 1.0) -> Tensor:
     """`l1_loss`, but a prediction beyond 1 costs nothing where the target is 1, nor below -1 where it is -1.
 
     A TSDF is cut off there, and so is the prediction before it is used or measured: all distances beyond the
@@ -78,8 +86,15 @@ def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
     """
     pair = Pair.of(prediction, target)
     beyond = (pair.target.abs() >= 1) & (pair.prediction * pair.target.sign() > 1)  # (L, C)
-    costs = (pair.prediction - pair.target).abs().masked_fill(beyond, 0.0)
-    return _reduce(pair, costs, reduction)
+    return _reduce(pair, _costs(pair, wrong_sign).masked_fill(beyond, 0.0), reduction)
+
+
+def _costs(pair: Pair, wrong_sign: float) -> Tensor:
+    """(L, C) absolute differences; occupied is TSDF < 0 (SEMANTICS 2)."""
+    costs = (pair.prediction - pair.target).abs()
+    if wrong_sign == 1:
+        return costs
+    return torch.where((pair.prediction < 0) == (pair.target < 0), costs, wrong_sign * costs)
 
 
 def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:

@@ -16,7 +16,15 @@ from torch.utils.checkpoint import checkpoint
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
-from ocnf_model.ops import DenseContext, OctreeConv3d, concat, grid_pool, grid_unpool, split_surface
+from ocnf_model.ops import (
+    DenseContext,
+    FusionBlend,
+    OctreeConv3d,
+    concat,
+    grid_pool,
+    grid_unpool,
+    split_surface,
+)
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
 
@@ -128,10 +136,12 @@ class Level(nn.Module):
         context: width of the `DenseContext` before the bottom's convolutions; 0 for none (the paper).
         residual: whether a convolution that keeps the number of channels adds its result to its input.
         normalise: what comes between a convolution and its ReLU, a `Normaliser`.
+        blend: how the head's TSDF is blended with that of plain fusion; None for not at all (the paper).
     """
 
     def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
-                 context: int = 0, residual: bool = False, normalise: Normaliser = Normaliser.NONE) -> None:
+                 context: int = 0, residual: bool = False, normalise: Normaliser = Normaliser.NONE,
+                 blend: FusionBlend | None = None) -> None:
         super().__init__()
         self.join, self.output, self.checkpointing = join, output, False
         self.residual, self.normalise = residual, normalise
@@ -152,6 +162,7 @@ class Level(nn.Module):
             self.head = nn.Linear(wide, 1)
             nn.init.kaiming_normal_(self.head.weight, nonlinearity="linear")
             nn.init.zeros_(self.head.bias)
+        self.blend = blend
 
     def forward(self, x: OctreeBatch) -> LevelOutput:
         """(L, c_in) features to those of the decoder and of the head."""
@@ -163,9 +174,12 @@ class Level(nn.Module):
         deep = self._run(self.bottom, deep)
         middle = self._run(self.up2, self._joined(deep, middle))
         features = self._run(self.up1, self._joined(middle, fine))
-        if isinstance(self.head, nn.Linear):
-            return LevelOutput(features, features.with_features(self.head(features.features)), self.output)
-        return LevelOutput(features, self.head(features), self.output)
+        if isinstance(self.head, OctreeConv3d):
+            return LevelOutput(features, self.head(features), self.output)
+        raw = self.head(features.features)
+        if self.blend is not None:
+            raw = self.blend(raw, features.features, x.features)
+        return LevelOutput(features, features.with_features(raw), self.output)
 
     def _joined(self, coarse: OctreeBatch, skipped: OctreeBatch) -> OctreeBatch:
         up = grid_unpool(coarse, guide=skipped)
@@ -210,6 +224,8 @@ class OctNetFusion(nn.Module):
             not.
         normalise: `none` (the paper) or `batch`, which trains faster; it goes together with checkpointing no
             more than any layer that remembers what passed through it.
+        blend: whether every level blends its TSDF with that of plain fusion (`FusionBlend`); the paper's
+            does not.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
         extra_channels: channels that every input has behind the encoding's, 0 or more.
 
@@ -221,7 +237,7 @@ class OctNetFusion(nn.Module):
         self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
         band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normaliser.NONE,
-        checkpointing: bool = False, extra_channels: int = 0,
+        blend: bool = False, checkpointing: bool = False, extra_channels: int = 0,
     ) -> None:
         super().__init__()
         self.encoding = _choice(Encoding, "encoding", encoding)
@@ -236,14 +252,19 @@ class OctNetFusion(nn.Module):
         self.channels = channels[0], channels[1], channels[2]
         self.band, self.context, self.residual = band, context, residual
         self.normalise = _choice(Normaliser, "normalise", normalise)
-        self.extra_channels = extra_channels
+        self.blend, self.extra_channels = blend, extra_channels
+        if blend and self.output is Output.OCCUPANCY:
+            raise OcnfError("only a TSDF can be blended with that of plain fusion", where="OctNetFusion",
+                            field="blend", found=blend, expected="false, or output: tsdf")
         self.in_channels = self.encoding.channels + extra_channels
         carried = self.channels[0] if self.carry is Carry.FEATURES else 1
-        self.levels = nn.ModuleList(
-            Level(self.in_channels + (carried if level else 0), self.channels, self.join, self.output,
-                  0 if level else context, residual, self.normalise)
-            for level in range(levels)
-        )
+        self.levels = nn.ModuleList()
+        for level in range(levels):
+            column = carried if level else 0  # of the first channel of the encoding
+            self.levels.append(Level(
+                column + self.in_channels, self.channels, self.join, self.output, 0 if level else context,
+                residual, self.normalise,
+                FusionBlend(self.encoding, column, self.channels[0]) if blend else None))
         self.set_checkpointing(checkpointing)
 
     def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:

@@ -105,7 +105,8 @@ ARROWS = {
     "ocnf_model.metrics": "ocnf_data.octree ocnf_model.losses ocnf_model.octree",
     "ocnf_model.network": "ocnf_data.encodings ocnf_data.errors ocnf_model.octree ocnf_model.ops",
     "ocnf_model.octree": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree",
-    "ocnf_model.ops": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree ocnf_model.octree",
+    "ocnf_model.ops":
+        "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.octree",
     "ocnf_model.scan":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
         "ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.views ocnf_model.baselines "

@@ -26,7 +26,14 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import validate
-from ocnf_model.checkpoint import Architecture, TrainingData, load_level, run_folder, trained_levels
+from ocnf_model.checkpoint import (
+    Architecture,
+    TrainingData,
+    level_architecture,
+    load_level,
+    run_folder,
+    trained_levels,
+)
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.curves import Reporter, write_curves
@@ -109,7 +116,13 @@ def _first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     folder = run_folder(settings.start)
     n_started = min(trained_levels(folder), settings.levels)
     for level in range(n_started):
-        load_level(folder, network, level)
+        given = level_architecture(folder, level)
+        if settings.blend and not given.blend:  # the blend begins as a new network's does
+            plain = Architecture.of(settings).model_copy(update={"blend": False}).network(level + 1)
+            load_level(folder, plain, level)
+            network.levels[level].load_state_dict(plain.levels[level].state_dict(), strict=False)
+        else:
+            load_level(folder, network, level)
     return network, n_started
 
 

@@ -141,14 +141,18 @@ class TrainSettings(Strict):
     """Convolutions that keep the number of channels add their result to their input; the paper's do not."""
     normalise: Normaliser = Normaliser.NONE
     """What comes between a convolution and its ReLU."""
+    blend: bool = False
+    """Each level blends its TSDF with that of plain fusion, with a weight of its own for every voxel; the
+    paper's does not."""
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     """Channels of the inputs behind the encoding's; only completion has some."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """Settings for each level; the last ones hold for all levels that follow."""
     start: str | None = None
-    """A run of the same architecture, or `pretrained`, whose weights the levels begin with; None, and for
-    levels that it lacks: random ones for the first, those of the level before for later ones."""
+    """A run of the same architecture (`blend` may be new), or `pretrained`, whose weights the levels begin
+    with; None, and for levels that it lacks: random ones for the first, those of the level before for later
+    ones."""
     seed: Annotated[Int, Field(ge=0)] = 0
     """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE
@@ -157,6 +161,9 @@ class TrainSettings(Strict):
     """Samples in the window that is shuffled; shards are shuffled whatever it is."""
     loss: Loss = Loss.L1
     """What a TSDF is trained by."""
+    wrong_sign: Annotated[Real, Field(ge=1, le=1e3)] = 1.0
+    """Weight in that loss of a voxel on the wrong side of the surface, where any other has 1; 1 in the
+    paper."""
     average: Annotated[Real, Field(ge=0, lt=1)] = 0.0
     """Share of the past that a step keeps in the running average of the weights, which is what is validated
     and kept: 0.998 averages over some 500 steps. 0 for the weights as they are (the paper)."""

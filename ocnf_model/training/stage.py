@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numba
@@ -38,8 +39,7 @@ from ocnf_model.training.train_state import EpochRow, TrainState, check_step, re
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
-LOSSES: dict[Loss | Output, Callable[..., Tensor]] = {
-    Loss.L1: l1_loss, Loss.TRUNCATED_L1: truncated_l1_loss, Output.OCCUPANCY: bce_loss}
+LOSSES: dict[Loss, Callable[..., Tensor]] = {Loss.L1: l1_loss, Loss.TRUNCATED_L1: truncated_l1_loss}
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +143,7 @@ class Trainer:
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        occupancy = self._job.network.output is Output.OCCUPANCY
-        loss = LOSSES[Output.OCCUPANCY if occupancy else self._job.settings.loss]
+        loss = bce_loss if self._job.network.output is Output.OCCUPANCY else settings_loss(self._job.settings)
         if self._stage.crop is None:
             losses = loss(self._forward(example).raw, example.target, "none")
         else:
@@ -265,6 +264,11 @@ class Trainer:
     def _save(self) -> None:
         if self._job.world.is_main:
             save_state(self._job.folder, self._state, self._level, self._optimiser, self._average)
+
+
+def settings_loss(settings: TrainSettings) -> Callable[..., Tensor]:
+    """The loss of a TSDF by some settings: a function of (prediction, target, reduction)."""
+    return partial(LOSSES[settings.loss], wrong_sign=settings.wrong_sign)
 
 
 def _is_finite(value: float) -> bool:

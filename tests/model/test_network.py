@@ -75,6 +75,10 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     if level.output == "occupancy":
         return features, conv3d(features, level.head.weight, level.head.bias, padding=1)
     raw = linear(features.movedim(1, -1), level.head.weight, level.head.bias).movedim(-1, 1)
+    if level.blend is not None:  # the encoding is TSDF, the last channel
+        gate = level.blend.gate
+        share = linear(features.movedim(1, -1), gate.weight, gate.bias).movedim(-1, 1).sigmoid()
+        raw = share * x[:, -1:] + (1 - share) * raw
     return features, raw
 
 
@@ -83,6 +87,8 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     {"join": "add", "carry": "reconstruction", "output": "occupancy"},
     {"context": 16, "residual": True},
     {"normalise": "batch", "context": 16},
+    {"blend": True},
+    {"blend": True, "carry": "reconstruction"},
 ])
 def test_where_every_leaf_is_a_voxel_it_is_the_dense_network(settings) -> None:
     torch.manual_seed(1)

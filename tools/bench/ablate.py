@@ -34,7 +34,7 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_data.shards import load_dataset
 from ocnf_model.checkpoint import Architecture, load_run
-from ocnf_model.losses import Pair, l1_loss, truncated_l1_loss
+from ocnf_model.losses import Pair
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.training.average import WeightAverage
@@ -42,6 +42,7 @@ from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.data import open_data
 from ocnf_model.training.settings import TrainSettings, read_settings
+from ocnf_model.training.stage import settings_loss
 from ocnf_model.training.validation import Validator
 
 _BATCH = {1: 2}  # samples a step; 1 at later levels
@@ -54,22 +55,9 @@ def log_l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str) ->
     """L1 of sign(t) log(1 + |t|), t in voxels of the truncation, as SG-NN (Dai et al. 2020) has it."""
     pair = Pair.of(prediction, target)
     scaled = [torch.sign(t) * torch.log1p(3 * t.abs()) for t in (pair.prediction, pair.target)]
-    return _mean(pair, (scaled[0] - scaled[1]).abs())
+    sums = pair.sum_over_voxels((scaled[0] - scaled[1]).abs())  # (B, 1)
+    return sums.mean(1) / math.prod(pair.structure.shape)
 
-
-def sign_weighted_l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str) -> Tensor:
-    """L1 with three times the weight where the sign is wrong."""
-    pair = Pair.of(prediction, target)
-    wrong = (pair.prediction < 0) != (pair.target < 0)
-    return _mean(pair, (pair.prediction - pair.target).abs() * (1 + 2 * wrong))
-
-
-def _mean(pair: Pair, costs: Tensor) -> Tensor:
-    return pair.sum_over_voxels(costs).mean(1) / math.prod(pair.structure.shape)  # (B,)
-
-
-LOSSES: dict[str, Callable[..., Tensor]] = {
-    "l1": l1_loss, "truncated_l1": truncated_l1_loss, "log_l1": log_l1_loss, "sign_l1": sign_weighted_l1_loss}
 
 ROWS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -80,7 +68,9 @@ ROWS: dict[str, dict[str, Any]] = {
     "add": {"join": "add"},
     "truncated_l1": {"loss": "truncated_l1"},
     "log_l1": {"loss": "log_l1"},
-    "sign_l1": {"loss": "sign_l1"},
+    "sign_l1": {"wrong_sign": 3.0},
+    "truncated_sign": {"loss": "truncated_l1", "wrong_sign": 3.0},
+    "blend": {"blend": True},
     "symmetries": {"augment": "all"},
     "average": {"average": 0.98},
     "norm_context": {"normalise": "batch", "context": 128},
@@ -213,7 +203,9 @@ class Bench:
 
     def _begin(self, row: str, task: Task) -> Training:
         fields = dict(ROWS[row])
-        loss = LOSSES[fields.pop("loss", "l1")]
+        own_loss = log_l1_loss if fields.get("loss") == "log_l1" else None
+        if own_loss is not None:
+            del fields["loss"]
         stage = {"batch_size": _BATCH.get(task.level, 1), "accumulate": 1, "crop": fields.pop("crop", None),
                  "learning_rate": _RATE.get(task.level, 5e-4), "decay": "cosine"}
         stages: list[dict[str, Any]] = [{}] * (task.level - 1) + [stage]
@@ -222,7 +214,8 @@ class Bench:
                                   "precision": self._precision, "mixture": parts,
                                   "samples_per_epoch": 2000}, row)
         settings = settings.resolved(self._manifest.to_dict(), None, self._data)
-        return Training(self._network(settings, task), settings, self._batches(settings, task), loss)
+        return Training(self._network(settings, task), settings, self._batches(settings, task),
+                        own_loss or settings_loss(settings))
 
     def _network(self, settings: TrainSettings, task: Task) -> OctNetFusion:
         torch.manual_seed(task.seed)

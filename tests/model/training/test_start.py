@@ -31,6 +31,23 @@ def test_every_level_begins_with_the_weights_of_its_like(tiny, small, tmp_path) 
     assert same(fourth, third)
 
 
+def test_a_blend_may_be_added_to_a_network_without(tiny, small, tmp_path) -> None:
+    train(tiny, tmp_path / "plain", small(), device="cpu")
+    start = {"stages": [STILL], "start": str(tmp_path / "plain")}
+    blended = train(tiny, tmp_path / "blended", small(blend=True, **start), device="cpu")
+    plain = load_run(tmp_path / "plain")
+    assert same(blended, plain)  # all that the plain one has
+    assert blended.levels[0].blend is not None
+    assert blended.levels[0].blend.gate.weight.abs().max() < 1e-6
+    again = small(blend=True, start=str(tmp_path / "blended"))
+    more = train(tiny, tmp_path / "again", again, device="cpu")
+    still = small(blend=True, stages=[STILL], start=str(tmp_path / "again"))
+    assert same(train(tiny, tmp_path / "still", still, device="cpu"), more)
+    assert more.levels[0].blend.gate.weight.abs().max() > 1e-6
+    with pytest.raises(OcnfError, match=r"blend: .*found True, expected False"):
+        train(tiny, tmp_path / "back", small(start=str(tmp_path / "blended")), device="cpu")
+
+
 def test_another_network_is_refused_before_anything_is_written(tiny, small, tmp_path) -> None:
     train(tiny, tmp_path / "first", small(levels=1), device="cpu")
     with pytest.raises(OcnfError, match=r"level-1.safetensors.*channels: .*found"):

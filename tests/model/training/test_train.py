@@ -168,8 +168,8 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
     calls = []
     l1_loss = stage_module.LOSSES["l1"]
 
-    def poisoned(*arguments):
-        losses = l1_loss(*arguments)
+    def poisoned(*arguments, **named):
+        losses = l1_loss(*arguments, **named)
         calls.append(len(losses))
         if len(calls) == 7:  # the first batch of the third epoch, its second sample
             poison = torch.tensor([0.0, float("nan")])

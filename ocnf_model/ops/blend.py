@@ -1,0 +1,62 @@
+"""A blend of a network's TSDF with plain fusion's, with a weight of its own for every leaf."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
+
+BIN_CENTRES = torch.linspace(-1.125, 1.125, 10).clamp(max=1)
+"""TSDF / tau that a vote for each bin of a histogram stands for; the last bin is the free space."""
+
+
+_LOGIT = -3.0  # of b, at first: 0.047
+
+
+class FusionBlend(nn.Module):
+    """b TSDF of plain fusion + (1 - b) TSDF of the network, b = sigmoid(a linear function of the features).
+
+    Where the votes of many views agree there is nothing to learn, and a network that has to make the same
+    number of 16 features loses what is thinner than it has learned. It begins at b = 1/20, so that a network
+    that was trained without it stays nearly what it was.
+
+    Args:
+        encoding: what the input says of the views: a histogram, TSDF, or TDF and occupancy.
+        column: where the encoding's channels begin among those of the input.
+        channels: C, number of features.
+
+    Raises:
+        OcnfError: occupancy has no TSDF.
+    """
+
+    def __init__(self, encoding: Encoding, column: int, channels: int) -> None:
+        super().__init__()
+        if encoding is Encoding.OCCUPANCY:
+            raise OcnfError("there is no TSDF in this encoding to blend with", where="OctNetFusion",
+                            field="blend", found=encoding, expected="false, or another encoding")
+        self.encoding, self.column = encoding, column
+        self.gate = nn.Linear(channels, 1)
+        nn.init.zeros_(self.gate.weight)
+        nn.init.constant_(self.gate.bias, _LOGIT)
+
+    def forward(self, own: Tensor, features: Tensor, inputs: Tensor) -> Tensor:
+        """Network TSDF / tau (L, 1), features (L, C) and inputs (L, c_in) to (L, 1), in at least float32."""
+        encoded = inputs[:, self.column:self.column + self.encoding.channels]  # (L, channels)
+        plain = plain_tsdf(encoded, self.encoding)                       # (L, 1)
+        return torch.lerp(own.to(plain.dtype), plain, self.gate(features).to(plain.dtype).sigmoid())
+
+
+def plain_tsdf(encoded: Tensor, encoding: Encoding) -> Tensor:
+    """TSDF / tau of plain fusion, (L, 1) in at least float32, of inputs (L, channels).
+
+    Of a histogram it is the mean of the bins, which is exact but for votes between 0.875 tau and tau before a
+    surface: those are split between two bins, the second of which counts as tau.
+    """
+    encoded = encoded.to(torch.promote_types(encoded.dtype, torch.float32))
+    if encoding is Encoding.HISTOGRAM:
+        return (encoded @ BIN_CENTRES.to(encoded)[:, None]).clamp(-1, 1)
+    if encoding is Encoding.TDF_OCCUPANCY:
+        return encoded[:, :1] * (1 - 2 * encoded[:, 1:])
+    return encoded
