@@ -24,6 +24,7 @@ from ocnf_data.files.records import Sha256, canonical_json, sha256_hex
 from ocnf_data.files.storage import Store
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.files.validation import Int, Real, Strict, validate
+from ocnf_model.devices import Precision
 from ocnf_model.network import Carry, Join, Normaliser, OctNetFusion, Output
 from ocnf_model.tensorfile import TensorKind, read_header, read_kinds, read_tensors, write_tensors
 
@@ -235,6 +236,8 @@ def open_run(path: str | Path, levels: int | None = None) -> TrainedRun:
             raise OcnfError("the level was trained on other weights of the level before", code="misfit",
                             where=checkpoint_path(folder, level + 1), field="built_on",
                             fix="do not mix files of different runs, or replace them")
+    if all(header.settings.get("precision") == Precision.BFLOAT16 for header in headers):
+        network.precision = Precision.BFLOAT16
     return TrainedRun(folder, network.eval().requires_grad_(False), tuple(headers))
 
 

@@ -5,10 +5,21 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 
 import torch
 
 from ocnf_data.errors import OcnfError
+
+
+class Precision(StrEnum):
+    """What the convolutions compute in; weights, losses and Adam stay float32, and so does the head."""
+
+    FLOAT32 = "float32"
+    """Single precision throughout."""
+    BFLOAT16 = "bfloat16"
+    """Autocast: half the memory of the activations."""
+
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of malloc.h
 
@@ -42,6 +53,20 @@ def keep_freed_memory() -> None:
         return
     mallopt(_M_MMAP_MAX, 0)
     mallopt(_M_TRIM_THRESHOLD, -1)
+
+
+def autocast(precision: Precision, device: torch.device) -> torch.autocast:
+    """A context in which the operations of a network compute in that precision."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=precision is Precision.BFLOAT16)
+
+
+def is_fast(precision: Precision, device: torch.device) -> bool:
+    """Whether a device multiplies in that precision by itself; elsewhere bfloat16 is float32 made slow."""
+    if precision is Precision.FLOAT32:
+        return True
+    if device.type == "cuda":
+        return torch.cuda.get_device_capability(device) >= (8, 0)
+    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
 def wait_for(device: torch.device) -> None:

@@ -15,6 +15,7 @@ from torch.utils.checkpoint import checkpoint
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_model.devices import Precision
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import (
     DenseContext,
@@ -176,9 +177,11 @@ class Level(nn.Module):
         features = self._run(self.up1, self._joined(middle, fine))
         if isinstance(self.head, OctreeConv3d):
             return LevelOutput(features, self.head(features), self.output)
-        raw = self.head(features.features)
-        if self.blend is not None:
-            raw = self.blend(raw, features.features, x.features)
+        with torch.autocast(features.device.type, enabled=False):  # 16 products, but the surface's last bits
+            read = features.features.to(self.head.weight.dtype)
+            raw = self.head(read)
+            if self.blend is not None:
+                raw = self.blend(raw, read, x.features)
         return LevelOutput(features, features.with_features(raw), self.output)
 
     def _joined(self, coarse: OctreeBatch, skipped: OctreeBatch) -> OctreeBatch:
@@ -229,6 +232,10 @@ class OctNetFusion(nn.Module):
         checkpointing: keep fewer activations for the backward pass, and compute them again.
         extra_channels: channels that every input has behind the encoding's, 0 or more.
 
+    Attributes:
+        precision: what `evaluate`, `fuse` and the like let it compute in, where the device is fast in that:
+            what a run was trained in, else float32. Calling it is not affected.
+
     Raises:
         OcnfError: a setting outside its range.
     """
@@ -252,6 +259,7 @@ class OctNetFusion(nn.Module):
         self.channels = channels[0], channels[1], channels[2]
         self.band, self.context, self.residual = band, context, residual
         self.normalise = _choice(Normaliser, "normalise", normalise)
+        self.precision = Precision.FLOAT32
         self.blend, self.extra_channels = blend, extra_channels
         if blend and self.output is Output.OCCUPANCY:
             raise OcnfError("only a TSDF can be blended with that of plain fusion", where="OctNetFusion",

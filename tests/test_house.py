@@ -80,7 +80,7 @@ ARROWS = {
     "ocnf_model.baselines":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.metrics",
     "ocnf_model.checkpoint":
-        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
+        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.devices ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
         "ocnf_data.errors ocnf_data.terminal ocnf_model.completion ocnf_model.devices "
@@ -103,7 +103,8 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.octree ocnf_data.views ocnf_model.losses "
         "ocnf_model.octree",
     "ocnf_model.metrics": "ocnf_data.octree ocnf_model.losses ocnf_model.octree",
-    "ocnf_model.network": "ocnf_data.encodings ocnf_data.errors ocnf_model.octree ocnf_model.ops",
+    "ocnf_model.network":
+        "ocnf_data.encodings ocnf_data.errors ocnf_model.devices ocnf_model.octree ocnf_model.ops",
     "ocnf_model.octree": "ocnf_data.arrays ocnf_data.errors ocnf_data.octree",
     "ocnf_model.ops":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.octree",

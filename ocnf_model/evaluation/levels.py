@@ -12,7 +12,7 @@ import torch
 from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import volfus_from_encoding
-from ocnf_model.devices import memory_errors, wait_for
+from ocnf_model.devices import Precision, autocast, is_fast, memory_errors, wait_for
 from ocnf_model.network import LevelOutput, OctNetFusion
 from ocnf_model.octree.batch import OctreeBatch
 
@@ -46,16 +46,24 @@ class Reached:
 @torch.no_grad()
 def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch],
                device: torch.device) -> Iterator[Reached]:
-    """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at."""
+    """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at.
+
+    It computes in the network's `precision` where the device is fast in that; results are float32.
+    """
     inputs = [encoded.to(device) for encoded in inputs]
+    precision = network.precision if is_fast(network.precision, device) else Precision.FLOAT32
     before: LevelOutput | None = None
     seconds = 0.0
     wait_for(device)
     for level, encoded in zip(network.levels, inputs, strict=False):
         start = time.perf_counter()
         size = "x".join(map(str, encoded.shape))
-        with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"):
+        with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"), \
+                autocast(precision, device):
             before = level(network.level_input(before, encoded))
             wait_for(device)
         seconds += time.perf_counter() - start
-        yield Reached(before.reconstruction.to("cpu"), seconds)
+        found = before.reconstruction.to("cpu")
+        if found.features.dtype is torch.bfloat16:
+            found = found.to(dtype=torch.float32)
+        yield Reached(found, seconds)

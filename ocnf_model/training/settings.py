@@ -22,17 +22,9 @@ from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, re
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
 from ocnf_model.checkpoint import MAX_CHANNELS, Channels
+from ocnf_model.devices import Precision
 from ocnf_model.network import Carry, Join, Normaliser, Output
 from ocnf_model.training.choice import BestBy
-
-
-class Precision(StrEnum):
-    """What the convolutions compute in; weights, losses and Adam stay float32."""
-
-    FLOAT32 = "float32"
-    """Single precision throughout."""
-    BFLOAT16 = "bfloat16"
-    """Autocast: half the memory of the activations."""
 
 
 class Decay(StrEnum):

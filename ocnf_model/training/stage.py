@@ -27,6 +27,7 @@ from ocnf_model.checkpoint import (
     save_checkpoint,
     torch_version,
 )
+from ocnf_model.devices import autocast
 from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.network import LevelOutput, OctNetFusion, Output, freeze_statistics
 from ocnf_model.training.average import WeightAverage
@@ -34,7 +35,7 @@ from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.choice import is_better
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
-from ocnf_model.training.settings import Loss, Precision, TrainSettings
+from ocnf_model.training.settings import Loss, TrainSettings
 from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
@@ -258,8 +259,7 @@ class Trainer:
             return self._job.network.run(example.inputs, frozen=self._state.level)[-1]
 
     def _precision(self) -> torch.autocast:
-        low = self._job.settings.precision is Precision.BFLOAT16
-        return torch.autocast(self._job.world.device.type, torch.bfloat16, enabled=low)
+        return autocast(self._job.settings.precision, self._job.world.device)
 
     def _save(self) -> None:
         if self._job.world.is_main:

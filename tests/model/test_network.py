@@ -181,7 +181,8 @@ def test_mixed_precision(inputs) -> None:
     with torch.autocast("cpu", torch.bfloat16):
         result = network.run(inputs)[-1]
         loss = l1_loss(result.raw, inputs[1])
-    assert loss.dtype == torch.float32 and result.raw.features.dtype == torch.bfloat16
+    assert loss.dtype == result.raw.features.dtype == torch.float32
+    assert result.features.features.dtype == torch.bfloat16
     loss.backward()
     trained = [p for name, p in network.named_parameters() if "levels.0.head" not in name]
     assert all(p.grad is not None and p.grad.isfinite().all() for p in trained)
