@@ -48,8 +48,11 @@ def stoppable(console: Console, sentence: str) -> Callable[[Callable[P, None]], 
         def stopping(*args: P.args, **kwargs: P.kwargs) -> None:
             try:
                 command(*args, **kwargs)
-            except KeyboardInterrupt as stop:
-                _say_stopped(str(stop) or f"stopped; {sentence.format(**kwargs)}", console)
+            except (KeyboardInterrupt, SystemError) as stop:
+                if not interrupts.is_interrupt(stop):
+                    raise
+                words = str(stop) if isinstance(stop, KeyboardInterrupt) else ""
+                _say_stopped(words or f"stopped; {sentence.format(**kwargs)}", console)
                 raise typer.Exit(interrupts.exit_status()) from None
 
         return stopping
@@ -67,7 +70,9 @@ def run_app(app: typer.Typer, console: Console, debug: Callable[[], bool]) -> No
             raise
         print_error(str(error), console)
         sys.exit(1)
-    except KeyboardInterrupt:  # before the command began, or after it ended
+    except (KeyboardInterrupt, SystemError) as error:  # before the command began, or after it ended
+        if not interrupts.is_interrupt(error):
+            raise
         sys.exit(interrupts.exit_status())
 
 

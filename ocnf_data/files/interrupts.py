@@ -67,6 +67,16 @@ def listen() -> None:
         signal.signal(number, _listener.hear)
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Whether it is `KeyboardInterrupt`, or the SystemError that Python makes of one in compiled code.
+
+    A signal that arrives while a function of numba's or PyTorch's hands its result over leaves both a result
+    and an exception, which the interpreter reports as an error of its own, caused by the interrupt.
+    """
+    return isinstance(error, KeyboardInterrupt) or (
+        isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt))
+
+
 def exit_status() -> int:
     """128 + the number of the signal that came first: 130 for Ctrl-C, 143 for SIGTERM."""
     return 128 + (_listener.first or signal.SIGINT)
