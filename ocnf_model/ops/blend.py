@@ -11,12 +11,12 @@ from ocnf_data.errors import OcnfError
 BIN_CENTRES = torch.linspace(-1.125, 1.125, 10).clamp(max=1)
 """TSDF / tau that a vote for each bin of a histogram stands for; the last bin is the free space."""
 
-
 _LOGIT = -3.0  # of b, at first: 0.047
+_GAIN = 16.0  # of its linear function, whose weights Adam would else take thousands of steps to let count
 
 
 class FusionBlend(nn.Module):
-    """b TSDF of plain fusion + (1 - b) TSDF of the network, b = sigmoid(a linear function of the features).
+    """b times the TSDF of plain fusion + (1 - b) times the network's own, b = sigmoid(16 (w . features + c)).
 
     Where the votes of many views agree there is nothing to learn, and a network that has to make the same
     number of 16 features loses what is thinner than it has learned. It begins at b = 1/20, so that a network
@@ -39,13 +39,14 @@ class FusionBlend(nn.Module):
         self.encoding, self.column = encoding, column
         self.gate = nn.Linear(channels, 1)
         nn.init.zeros_(self.gate.weight)
-        nn.init.constant_(self.gate.bias, _LOGIT)
+        nn.init.constant_(self.gate.bias, _LOGIT / _GAIN)
 
     def forward(self, own: Tensor, features: Tensor, inputs: Tensor) -> Tensor:
         """Network TSDF / tau (L, 1), features (L, C) and inputs (L, c_in) to (L, 1), in at least float32."""
         encoded = inputs[:, self.column:self.column + self.encoding.channels]  # (L, channels)
         plain = plain_tsdf(encoded, self.encoding)                       # (L, 1)
-        return torch.lerp(own.to(plain.dtype), plain, self.gate(features).to(plain.dtype).sigmoid())
+        share = (_GAIN * self.gate(features).to(plain.dtype)).sigmoid()  # (L, 1)
+        return torch.lerp(own.to(plain.dtype), plain, share)
 
 
 def plain_tsdf(encoded: Tensor, encoding: Encoding) -> Tensor:

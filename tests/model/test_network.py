@@ -77,7 +77,7 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     raw = linear(features.movedim(1, -1), level.head.weight, level.head.bias).movedim(-1, 1)
     if level.blend is not None:  # the encoding is TSDF, the last channel
         gate = level.blend.gate
-        share = linear(features.movedim(1, -1), gate.weight, gate.bias).movedim(-1, 1).sigmoid()
+        share = (16 * linear(features.movedim(1, -1), gate.weight, gate.bias)).movedim(-1, 1).sigmoid()
         raw = share * x[:, -1:] + (1 - share) * raw
     return features, raw
 

@@ -68,7 +68,7 @@ def test_it_lies_between_its_parts_by_the_gate(seed, before, behind, encoding) -
     torch.testing.assert_close(blend(own, features, inputs), 0.9526 * own + 0.0474 * plain,
                                rtol=1e-3, atol=1e-3)  # as it begins
     torch.nn.init.normal_(blend.gate.weight, generator=generator)
-    share = torch.sigmoid(features @ blend.gate.weight[0] + blend.gate.bias)[:, None]
+    share = torch.sigmoid(16 * (features @ blend.gate.weight[0] + blend.gate.bias))[:, None]
     torch.testing.assert_close(blend(own, features, inputs), share * plain + (1 - share) * own)
     assert torch.autograd.gradcheck(lambda a, b: blend(a, b, inputs[:5]),
                                     (own[:5].requires_grad_(), features[:5].requires_grad_()))
