@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -11,7 +13,6 @@ from ocnf_data.errors import OcnfError
 BIN_CENTRES = torch.linspace(-1.125, 1.125, 10).clamp(max=1)
 """TSDF / tau that a vote for each bin of a histogram stands for; the last bin is the free space."""
 
-_LOGIT = -3.0  # of b, at first: 0.047
 _GAIN = 16.0  # of its linear function, whose weights Adam would else take thousands of steps to let count
 
 
@@ -20,7 +21,7 @@ class FusionBlend(nn.Module):
 
     Where the votes of many views agree there is nothing to learn, and a network that has to make the same
     number of 16 features loses what is thinner than it has learned. It begins at b = 1/20, so that a network
-    that was trained without it stays nearly what it was.
+    that was trained without it stays nearly what it was; `begin_at` sets another.
 
     Args:
         encoding: what the input says of the views: a histogram, TSDF, or TDF and occupancy.
@@ -38,8 +39,12 @@ class FusionBlend(nn.Module):
                             field="blend", found=encoding, expected="false, or another encoding")
         self.encoding, self.column = encoding, column
         self.gate = nn.Linear(channels, 1)
+        self.begin_at(0.05)
+
+    def begin_at(self, share: float) -> None:
+        """Let b be the same everywhere, above 0 and below 1."""
         nn.init.zeros_(self.gate.weight)
-        nn.init.constant_(self.gate.bias, _LOGIT / _GAIN)
+        nn.init.constant_(self.gate.bias, math.log(share / (1 - share)) / _GAIN)
 
     def forward(self, own: Tensor, features: Tensor, inputs: Tensor) -> Tensor:
         """Network TSDF / tau (L, 1), features (L, C) and inputs (L, c_in) to (L, 1), in at least float32."""

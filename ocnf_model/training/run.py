@@ -111,6 +111,9 @@ def _first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     """The network before training, and how many levels have the weights of the run that it starts from."""
     torch.manual_seed(settings.seed)
     network = Architecture.of(settings).network(settings.levels, settings.checkpointing)
+    for level in network.levels:
+        if level.blend is not None:
+            level.blend.begin_at(settings.blend_from)
     if settings.start is None:
         return network, 0
     folder = run_folder(settings.start)

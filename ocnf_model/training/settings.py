@@ -136,6 +136,9 @@ class TrainSettings(Strict):
     blend: bool = False
     """Each level blends its TSDF with that of plain fusion, with a weight of its own for every voxel; the
     paper's does not."""
+    blend_from: Annotated[Real, Field(gt=0, lt=1)] = 0.05
+    """Share of plain fusion that a new blend begins with: little for few views, which leave much unseen, most
+    for the many frames of a scan."""
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     """Channels of the inputs behind the encoding's; only completion has some."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (

@@ -65,8 +65,9 @@ def test_it_lies_between_its_parts_by_the_gate(seed, before, behind, encoding) -
     blend = FusionBlend(encoding, before, 4).double()
     inputs = torch.cat([around[0], encoded, around[1]], 1)
     plain = plain_tsdf(encoded, encoding)
-    torch.testing.assert_close(blend(own, features, inputs), 0.9526 * own + 0.0474 * plain,
-                               rtol=1e-3, atol=1e-3)  # as it begins
+    torch.testing.assert_close(blend(own, features, inputs), 0.95 * own + 0.05 * plain, rtol=1e-6, atol=1e-6)
+    blend.begin_at(0.8)
+    torch.testing.assert_close(blend(own, features, inputs), 0.2 * own + 0.8 * plain, rtol=1e-6, atol=1e-6)
     torch.nn.init.normal_(blend.gate.weight, generator=generator)
     share = torch.sigmoid(16 * (features @ blend.gate.weight[0] + blend.gate.bias))[:, None]
     torch.testing.assert_close(blend(own, features, inputs), share * plain + (1 - share) * own)

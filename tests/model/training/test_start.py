@@ -33,12 +33,14 @@ def test_every_level_begins_with_the_weights_of_its_like(tiny, small, tmp_path) 
 
 def test_a_blend_may_be_added_to_a_network_without(tiny, small, tmp_path) -> None:
     train(tiny, tmp_path / "plain", small(), device="cpu")
-    start = {"stages": [STILL], "start": str(tmp_path / "plain")}
+    start = {"stages": [STILL], "start": str(tmp_path / "plain"), "blend_from": 0.8}
     blended = train(tiny, tmp_path / "blended", small(blend=True, **start), device="cpu")
     plain = load_run(tmp_path / "plain")
     assert same(blended, plain)  # all that the plain one has
     assert blended.levels[0].blend is not None
-    assert blended.levels[0].blend.gate.weight.abs().max() < 1e-6
+    for level in blended.levels:
+        assert level.blend.gate.weight.abs().max() < 1e-6
+        assert torch.sigmoid(16 * level.blend.gate.bias).item() == pytest.approx(0.8)
     again = small(blend=True, start=str(tmp_path / "blended"))
     more = train(tiny, tmp_path / "again", again, device="cpu")
     still = small(blend=True, stages=[STILL], start=str(tmp_path / "again"))
