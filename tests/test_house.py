@@ -123,7 +123,7 @@ ARROWS = {
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
         "ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards "
         "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses "
-        "ocnf_model.measures ocnf_model.metrics ocnf_model.network ocnf_model.octree "
+        "ocnf_model.measures ocnf_model.metrics ocnf_model.network ocnf_model.octree ocnf_model.ops "
         "ocnf_model.tensorfile",
 }
 

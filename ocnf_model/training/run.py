@@ -36,6 +36,7 @@ from ocnf_model.checkpoint import (
 )
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
+from ocnf_model.ops import FusionBlend
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import SAMPLES, VALIDATION, DataSource, StoredData, open_data
 from ocnf_model.training.epochs import change_epochs, changed_epochs
@@ -111,9 +112,9 @@ def _first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     """The network before training, and how many levels have the weights of the run that it starts from."""
     torch.manual_seed(settings.seed)
     network = Architecture.of(settings).network(settings.levels, settings.checkpointing)
-    for level in network.levels:
-        if level.blend is not None:
-            level.blend.begin_at(settings.blend_from)
+    for module in network.modules():
+        if isinstance(module, FusionBlend):
+            module.begin_at(settings.blend_from)
     if settings.start is None:
         return network, 0
     folder = run_folder(settings.start)
