@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -13,11 +14,15 @@ from ocnf_data.errors import OcnfError
 BIN_CENTRES = torch.linspace(-1.125, 1.125, 10).clamp(max=1)
 """TSDF / tau that a vote for each bin of a histogram stands for; the last bin is the free space."""
 
+_LIMIT = 1.25  # of the network's own TSDF
 _GAIN = 16.0  # of its linear function, whose weights Adam would else take thousands of steps to let count
 
 
 class FusionBlend(nn.Module):
     """b times the TSDF of plain fusion + (1 - b) times the network's own, b = sigmoid(16 (w . features + c)).
+
+    The network's own is cut off at 1.25, a bin of the histogram beyond the truncation: were it not, it could
+    outvote any share of plain fusion, and did, above all where something is thin.
 
     Where the votes of many views agree there is nothing to learn, and a network that has to make the same
     number of 16 features loses what is thinner than it has learned. It begins at b = 1/20, so that a network
@@ -51,7 +56,22 @@ class FusionBlend(nn.Module):
         encoded = inputs[:, self.column:self.column + self.encoding.channels]  # (L, channels)
         plain = plain_tsdf(encoded, self.encoding)                       # (L, 1)
         share = (_GAIN * self.gate(features).to(plain.dtype)).sigmoid()  # (L, 1)
-        return torch.lerp(own.to(plain.dtype), plain, share)
+        return torch.lerp(_Truncated.apply(own.to(plain.dtype)), plain, share)
+
+
+class _Truncated(torch.autograd.Function):
+    """Values cut off at -1.25 and 1.25; those beyond get the gradients that lead back, and no others."""
+
+    @staticmethod
+    def forward(ctx: Any, own: Tensor) -> Tensor:
+        ctx.save_for_backward(own)
+        return own.clamp(-_LIMIT, _LIMIT)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        (own,) = ctx.saved_tensors
+        outwards = (own.abs() > _LIMIT) & (gradient * own < 0)  # a step goes against the gradient
+        return gradient.masked_fill(outwards, 0.0)
 
 
 def plain_tsdf(encoded: Tensor, encoding: Encoding) -> Tensor:

@@ -78,7 +78,7 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     if level.blend is not None:  # the encoding is TSDF, the last channel
         gate = level.blend.gate
         share = (16 * linear(features.movedim(1, -1), gate.weight, gate.bias)).movedim(-1, 1).sigmoid()
-        raw = share * x[:, -1:] + (1 - share) * raw
+        raw = share * x[:, -1:] + (1 - share) * raw.clamp(-1.25, 1.25)
     return features, raw
 
 

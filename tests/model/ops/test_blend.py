@@ -62,6 +62,7 @@ def test_it_lies_between_its_parts_by_the_gate(seed, before, behind, encoding) -
         encoded = encoded / encoded.sum(1, keepdim=True)
     around = [torch.rand(50, n, generator=generator, dtype=torch.float64) for n in (before, behind)]
     own, features = (torch.randn(50, n, generator=generator, dtype=torch.float64) for n in (1, 4))
+    own = own.tanh()
     blend = FusionBlend(encoding, before, 4).double()
     inputs = torch.cat([around[0], encoded, around[1]], 1)
     plain = plain_tsdf(encoded, encoding)
@@ -73,6 +74,17 @@ def test_it_lies_between_its_parts_by_the_gate(seed, before, behind, encoding) -
     torch.testing.assert_close(blend(own, features, inputs), share * plain + (1 - share) * own)
     assert torch.autograd.gradcheck(lambda a, b: blend(a, b, inputs[:5]),
                                     (own[:5].requires_grad_(), features[:5].requires_grad_()))
+
+
+def test_the_own_part_is_cut_off_and_comes_back() -> None:
+    """Beyond 1.25 it counts as that, and only what leads back into the range is a gradient."""
+    blend = FusionBlend(Encoding.TSDF, 0, 1)
+    blend.begin_at(0.25)
+    own = torch.tensor([[3.0], [-3.0], [1.5], [-1.5], [1.2]], requires_grad=True)
+    found = blend(own, torch.zeros(5, 1), torch.zeros(5, 1))
+    torch.testing.assert_close(found, torch.tensor([[0.9375], [-0.9375], [0.9375], [-0.9375], [0.9]]))
+    (gradient,) = torch.autograd.grad(found, own, torch.tensor([[1.0], [1.0], [-1.0], [-1.0], [-1.0]]))
+    torch.testing.assert_close(gradient, torch.tensor([[0.75], [0.0], [0.0], [-0.75], [-0.75]]))
 
 
 def test_in_half_precision_plain_fusion_stays_whole() -> None:
