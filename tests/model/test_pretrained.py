@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ocnf_data import generate
-from ocnf_data.manifest import Manifest
+from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
 from ocnf_model.evaluation.methods import DEFAULT_WEIGHTS, Method
@@ -62,12 +62,17 @@ def test_better_than_both_baselines_on_shapes_it_never_saw(tmp_path: Path) -> No
         assert mads[resolution, "Ours"] < mads[resolution, "TV-L1"]
 
 
-def test_the_network_for_scans_shares_the_first_levels_and_its_card_has_its_figures() -> None:
-    plain, scan = open_run("pretrained"), open_run("pretrained-scan")
-    assert scan.resolutions == plain.resolutions and scan.headers[:2] == plain.headers[:2]
-    header, card = scan.headers[2], (FOLDER / "scan" / "README.md").read_text()
-    assert header.data.name == "scan"
-    assert f"epoch {header.epoch}, {header.steps:,} steps, MAD {header.metrics['mad_mm']:.4f} mm" in card
+def test_the_network_for_scans_is_a_blend_and_its_card_has_its_figures() -> None:
+    scan = open_run("pretrained-scan")
+    assert scan.resolutions == open_run("pretrained").resolutions and scan.network.blend
+    manifest = load_manifest(FOLDER / "scan" / "manifest.yaml")
+    card = (FOLDER / "scan" / "README.md").read_text()
+    for header in scan.headers:
+        assert header.data.name == manifest.name
+        found = header.metrics
+        assert f"| {header.resolution}³ | {header.epoch} | {header.steps:,} | {found['mad_mm']:.3f} | " \
+               f"{found['iou']:.3f} | {found['f_score']:.3f} |" in card
+    assert sum(path.stat().st_size for path in (FOLDER / "scan").glob("*.safetensors")) < 9e6
 
 
 @pytest.mark.slow
