@@ -73,8 +73,10 @@ def is_interrupt(error: BaseException) -> bool:
     A signal that arrives while a function of numba's or PyTorch's hands its result over leaves both a result
     and an exception, which the interpreter reports as an error of its own, caused by the interrupt.
     """
-    return isinstance(error, KeyboardInterrupt) or (
-        isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt))
+    cause: BaseException | None = error
+    while isinstance(cause, SystemError):  # each compiled function on the way adds one
+        cause = cause.__cause__
+    return isinstance(cause, KeyboardInterrupt)
 
 
 def exit_status() -> int:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing import AuthenticationError
 from pathlib import Path
+from types import TracebackType
 
 import numba
 import torch
@@ -284,3 +287,15 @@ def _loader(dataset: EpochDataset, job: Job) -> DataLoader[AnyBatch]:
 def use_one_thread(_: int) -> None:
     """Let a loader's worker use one thread, as PyTorch does too: the cores are for the training process."""
     numba.set_num_threads(1)
+    sys.excepthook = _report_unless_hung_up
+
+
+def _report_unless_hung_up(kind: type[BaseException], error: BaseException,
+                           traceback: TracebackType | None) -> None:
+    """Say nothing of a connection that ends: the training was stopped while a tensor was handed over.
+
+    What fails in a worker's own code is raised in the training process, and does not come by here; the thread
+    that hands tensors over (`multiprocessing.resource_sharer`) does.
+    """
+    if not issubclass(kind, EOFError | OSError | AuthenticationError):
+        sys.__excepthook__(kind, error, traceback)

@@ -13,7 +13,9 @@ from ocnf_data.terminal import stoppable
 
 def interrupted_in_compiled_code() -> None:
     """What the interpreter makes of a signal that arrives as a compiled function returns."""
-    raise SystemError("a function returned a result with an exception set") from KeyboardInterrupt()
+    within = SystemError("a function returned a result with an exception set")
+    within.__cause__ = KeyboardInterrupt()
+    raise SystemError("another returned a result with an exception set") from within
 
 
 def interrupted() -> None:

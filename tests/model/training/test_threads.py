@@ -9,7 +9,7 @@ import sys
 import numba
 from torch.utils.data import DataLoader, Dataset
 
-from ocnf_model.training.stage import use_one_thread
+from ocnf_model.training.stage import _report_unless_hung_up, use_one_thread
 
 
 class _Threads(Dataset[int]):
@@ -36,3 +36,11 @@ def test_the_command_line_lets_openmp_wait_without_spinning() -> None:
         environment |= {} if said is None else {"OMP_WAIT_POLICY": said}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
         assert done.stdout.strip() == expected, done.stderr
+
+
+def test_a_worker_says_nothing_of_a_connection_that_ends(capsys) -> None:
+    for error in (EOFError(), ConnectionResetError(104, "Connection reset by peer"), FileNotFoundError()):
+        _report_unless_hung_up(type(error), error, None)
+    assert capsys.readouterr().err == ""
+    _report_unless_hung_up(ValueError, ValueError("of its own"), None)
+    assert capsys.readouterr().err == "ValueError: of its own\n"
