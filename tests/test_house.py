@@ -96,7 +96,7 @@ ARROWS = {
         "ocnf_data.generation ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render "
         "ocnf_data.report ocnf_data.shards ocnf_data.terminal ocnf_model.baselines "
         "ocnf_model.checkpoint ocnf_model.devices ocnf_model.measures ocnf_model.metrics "
-        "ocnf_model.network ocnf_model.octree",
+        "ocnf_model.network ocnf_model.octree ocnf_model.ops",
     "ocnf_model.info": "ocnf_model.checkpoint ocnf_model.network ocnf_model.ops ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
     "ocnf_model.measures":

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
 from ocnf_data.encodings import Encoding
@@ -15,6 +14,7 @@ from ocnf_model.baselines import volfus_from_encoding
 from ocnf_model.devices import Precision, autocast, is_fast, memory_errors, wait_for
 from ocnf_model.network import LevelOutput, OctNetFusion
 from ocnf_model.octree.batch import OctreeBatch
+from ocnf_model.ops.blend import plain_tsdf
 
 
 def stored_volfus(octree: GridOctree, encoding: Encoding) -> GridOctree:
@@ -26,8 +26,7 @@ def stored_volfus(octree: GridOctree, encoding: Encoding) -> GridOctree:
     """
     if encoding is not Encoding.HISTOGRAM:
         return volfus_from_encoding(octree, encoding)
-    centres = np.minimum(np.linspace(-1.125, 1.125, octree.channels, dtype=np.float32), 1)
-    return octree.with_data(np.clip(octree.data @ centres, -1, 1)[:, None])
+    return octree.with_data(plain_tsdf(torch.from_numpy(octree.data), encoding).numpy())
 
 
 @dataclass(frozen=True, eq=False)
