@@ -18,7 +18,6 @@ import json
 from contextlib import nullcontext
 from pathlib import Path
 
-import torch
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
@@ -27,16 +26,12 @@ from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import validate
 from ocnf_model.checkpoint import (
-    Architecture,
     TrainingData,
-    level_architecture,
     load_level,
-    run_folder,
-    trained_levels,
 )
 from ocnf_model.devices import memory_errors
 from ocnf_model.network import OctNetFusion, Output
-from ocnf_model.ops import FusionBlend
+from ocnf_model.training.beginning import first_network
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import SAMPLES, VALIDATION, DataSource, StoredData, open_data
 from ocnf_model.training.epochs import change_epochs, changed_epochs
@@ -91,7 +86,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
             variant = source.validation(folder, settings, level).variant
         source.training(folder, settings, settings.levels - 1)
         settings = asked.resolved(source.manifest, variant, source.where)
-        network, n_started = _first_network(settings)
+        network, n_started = first_network(settings)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
                 _begin(folder, settings, _training_data(source, folder, settings))
@@ -106,28 +101,6 @@ def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console:
     with exclusive(Store(folder)):
         _refuse_strangers(Store(folder))
         source.prepare(folder, settings, console)
-
-
-def _first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
-    """The network before training, and how many levels have the weights of the run that it starts from."""
-    torch.manual_seed(settings.seed)
-    network = Architecture.of(settings).network(settings.levels, settings.checkpointing)
-    for module in network.modules():
-        if isinstance(module, FusionBlend):
-            module.begin_at(settings.blend_from)
-    if settings.start is None:
-        return network, 0
-    folder = run_folder(settings.start)
-    n_started = min(trained_levels(folder), settings.levels)
-    for level in range(n_started):
-        given = level_architecture(folder, level)
-        if settings.blend and not given.blend:  # the blend begins as a new network's does
-            plain = Architecture.of(settings).model_copy(update={"blend": False}).network(level + 1)
-            load_level(folder, plain, level)
-            network.levels[level].load_state_dict(plain.levels[level].state_dict(), strict=False)
-        else:
-            load_level(folder, network, level)
-    return network, n_started
 
 
 def _run(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion, n_started: int,

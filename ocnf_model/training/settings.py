@@ -145,9 +145,9 @@ class TrainSettings(Strict):
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """Settings for each level; the last ones hold for all levels that follow."""
     start: str | None = None
-    """A run of the same architecture (`blend` may be new), or `pretrained`, whose weights the levels begin
-    with; None, and for levels that it lacks: random ones for the first, those of the level before for later
-    ones."""
+    """A run of the same architecture (`blend` and `context` may be new, batch normalisation may go), or
+    `pretrained`, whose weights the levels begin with; None, and for levels that it lacks: random ones for the
+    first, those of the level before for later ones."""
     seed: Annotated[Int, Field(ge=0)] = 0
     """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.checkpoint import load_run
+from ocnf_model.checkpoint import checkpoint_path, load_run, parse_header, save_checkpoint
+from ocnf_model.tensorfile import read_header
 from ocnf_model.training.run import train
 
 STILL = {"epochs": 1, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-30, "weight_decay": 0}
@@ -48,6 +49,41 @@ def test_a_blend_may_be_added_to_a_network_without(tiny, small, tmp_path) -> Non
     assert more.levels[0].blend.gate.weight.abs().max() > 1e-6
     with pytest.raises(OcnfError, match=r"blend: .*found True, expected False"):
         train(tiny, tmp_path / "back", small(start=str(tmp_path / "blended")), device="cpu")
+
+
+def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:
+    plain = train(tiny, tmp_path / "plain", small(), device="cpu")
+    settings = small(context=16, stages=[STILL], start=str(tmp_path / "plain"))
+    wider = train(tiny, tmp_path / "wider", settings, device="cpu")
+    assert same(wider, plain)
+    assert wider.levels[0].context.out.weight.abs().max() < 1e-6
+    with pytest.raises(OcnfError, match=r"context: .*found 16, expected 0"):
+        train(tiny, tmp_path / "back", small(start=str(tmp_path / "wider")), device="cpu")
+
+
+def test_batch_normalisation_may_go(tiny, small, make_batch, tmp_path) -> None:
+    normalised = train(tiny, tmp_path / "normalised", small(normalise="batch"), device="cpu")
+    for level in normalised.levels:  # training this little leaves them near their beginning
+        for part in level.modules():
+            if isinstance(part, torch.nn.BatchNorm1d):
+                part.running_mean.normal_()
+                part.running_var.uniform_(0.2, 5)
+                torch.nn.init.normal_(part.weight)
+                torch.nn.init.normal_(part.bias)
+    for number, level in enumerate(normalised.levels, 1):
+        path = checkpoint_path(tmp_path / "normalised", number)
+        header = parse_header(path, read_header(path))
+        save_checkpoint(tmp_path / "normalised", header, level.state_dict())
+    settings = small(stages=[STILL], start=str(tmp_path / "normalised"))
+    folded = train(tiny, tmp_path / "folded", settings, device="cpu")
+    assert not any(isinstance(part, torch.nn.BatchNorm1d) for part in folded.modules())
+    inputs = [make_batch(level, (4 << level,) * 3, 2, normalised.in_channels, 0.3, torch.float32)
+              for level in range(2)]
+    with torch.no_grad():
+        for ours, theirs in zip(folded(inputs), normalised.eval()(inputs), strict=True):
+            torch.testing.assert_close(ours.to_dense(), theirs.to_dense(), rtol=1e-4, atol=1e-4)
+    with pytest.raises(OcnfError, match=r"normalise: .*found none, expected batch"):
+        train(tiny, tmp_path / "back", small(normalise="batch", start=str(tmp_path / "folded")), device="cpu")
 
 
 def test_another_network_is_refused_before_anything_is_written(tiny, small, tmp_path) -> None:

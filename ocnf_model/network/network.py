@@ -3,199 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
-from functools import partial
-from itertools import pairwise
-from typing import TypeVar
 
 import torch
 from torch import nn
-from torch.utils.checkpoint import checkpoint
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.devices import Precision
+from ocnf_model.network.choices import Carry, Join, Normaliser, Output, choice
+from ocnf_model.network.level import Level, LevelOutput
 from ocnf_model.octree.batch import OctreeBatch
-from ocnf_model.ops import (
-    DenseContext,
-    FusionBlend,
-    OctreeConv3d,
-    concat,
-    grid_pool,
-    grid_unpool,
-    split_surface,
-)
-
-_Choice = TypeVar("_Choice", bound=StrEnum)
-
-
-class Join(StrEnum):
-    """How the decoder takes in the encoder's features of the same resolution."""
-
-    CONCAT = "concat"
-    """Side by side (the paper)."""
-    ADD = "add"
-    """Summed (the published training script)."""
-
-
-class Carry(StrEnum):
-    """What the structure module hands to the next level."""
-
-    FEATURES = "features"
-    """The features that the output head reads (the paper)."""
-    RECONSTRUCTION = "reconstruction"
-    """The reconstruction alone (the published code)."""
-
-
-class Output(StrEnum):
-    """What is reconstructed."""
-
-    TSDF = "tsdf"
-    """TSDF / tau, by a linear 1x1x1 head; negative inside."""
-    OCCUPANCY = "occupancy"
-    """Probability of being occupied, by a 3x3x3 head and a sigmoid."""
-
-    @property
-    def threshold(self) -> float:
-        """Value that separates the two sides of the surface."""
-        return 0.0 if self is Output.TSDF else 0.5
-
-
-class Normaliser(StrEnum):
-    """What comes between a 3x3x3 convolution and its ReLU."""
-
-    NONE = "none"
-    """Nothing, the convolution has a bias (the paper)."""
-    BATCH = "batch"
-    """Batch normalisation over the leaves (Ioffe and Szegedy 2015). In evaluation it is a fixed scale and
-    shift of each channel, so that the network stays a local function of its input."""
-
-
-class NormalisedConv3d(OctreeConv3d):
-    """An `OctreeConv3d` without a bias, then batch normalisation over all leaves of the batch."""
-
-    def __init__(self, in_channels: int, out_channels: int) -> None:
-        super().__init__(in_channels, out_channels, bias=False)
-        self.norm = nn.BatchNorm1d(out_channels, momentum=0.05)
-
-    def forward(self, x: OctreeBatch) -> OctreeBatch:
-        """(L, C_in) features to (L, C_out)."""
-        y = super().forward(x)
-        return y.with_features(self.norm(y.features))
-
-
-def freeze_statistics(module: nn.Module) -> None:
-    """Let batch normalisation scale and shift by what it has gathered so far, until the next `train()`.
-
-    In training it uses the statistics of the batch, in use the running ones. Weights that were fitted to the
-    one are not the best ones for the other, least of all with one or two samples a batch.
-    """
-    for part in module.modules():
-        if isinstance(part, nn.BatchNorm1d):
-            part.eval()
-
-
-@dataclass(frozen=True, eq=False)
-class LevelOutput:
-    """What a level makes.
-
-    Attributes:
-        features: (L, channels[0]) features of the decoder.
-        raw: (L, 1) result of the head: TSDF / tau, or logits of occupancy. Losses take this.
-        output: which of the two `raw` is.
-    """
-
-    features: OctreeBatch
-    raw: OctreeBatch
-    output: Output
-
-    @property
-    def reconstruction(self) -> OctreeBatch:
-        """TSDF / tau, not clipped, or probabilities of occupancy."""
-        return self.raw if self.output is Output.TSDF else self.raw.with_features(self.raw.features.sigmoid())
-
-
-class Level(nn.Module):
-    """The encoder-decoder of one resolution. With channels (16, 32, 64), at resolution r:
-
-    | block   | resolution | layers, each with ReLU         | parameters, concat (add)      |
-    |---------|------------|--------------------------------|-------------------------------|
-    | first   | r          | 3x3x3 c_in -> 16               | 432 c_in + 16                 |
-    | down1   | r          | 3x3x3 16 -> 32; pool           | 13,856                        |
-    | down2   | r / 2      | 3x3x3 32 -> 32 -> 64; pool     | 83,040                        |
-    | bottom  | r / 4      | 3x3x3 64 -> 64 -> 64 -> 64     | 331,968                       |
-    | up2     | r / 2      | unpool; join 64; -> 32 -> 32   | 138,304 (83,008)              |
-    | up1     | r          | unpool; join 32; -> 16 -> 16   | 34,592 (20,768)               |
-    | head    | r          | 1x1x1 or 3x3x3 16 -> 1, no ReLU| 17 for TSDF, 433 for occupancy|
-
-    Args:
-        in_channels: number of input channels.
-        channels: number of channels at each of the three resolutions.
-        join: how the decoder takes in the encoder's features, a `Join`.
-        output: what is reconstructed, an `Output`.
-        context: width of the `DenseContext` before the bottom's convolutions; 0 for none (the paper).
-        residual: whether a convolution that keeps the number of channels adds its result to its input.
-        normalise: what comes between a convolution and its ReLU, a `Normaliser`.
-        blend: how the head's TSDF is blended with that of plain fusion; None for not at all (the paper).
-    """
-
-    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
-                 context: int = 0, residual: bool = False, normalise: Normaliser = Normaliser.NONE,
-                 blend: FusionBlend | None = None) -> None:
-        super().__init__()
-        self.join, self.output, self.checkpointing = join, output, False
-        self.residual, self.normalise = residual, normalise
-        wide, middle, deep = channels
-        joined = 2 if join is Join.CONCAT else 1
-        convs = partial(_convs, normalise)
-        self.first = convs(in_channels, wide)
-        self.down1 = convs(wide, middle)
-        self.down2 = convs(middle, middle, deep)
-        self.context = DenseContext(deep, context) if context else None
-        self.bottom = convs(deep, deep, deep, deep)
-        self.up2 = convs(joined * deep, middle, middle)
-        self.up1 = convs(joined * middle, wide, wide)
-        self.head: nn.Linear | OctreeConv3d
-        if output is Output.OCCUPANCY:
-            self.head = OctreeConv3d(wide, 1)
-        else:
-            self.head = nn.Linear(wide, 1)
-            nn.init.kaiming_normal_(self.head.weight, nonlinearity="linear")
-            nn.init.zeros_(self.head.bias)
-        self.blend = blend
-
-    def forward(self, x: OctreeBatch) -> LevelOutput:
-        """(L, c_in) features to those of the decoder and of the head."""
-        fine = self._run(self.down1, self._run(self.first, x))
-        middle = self._run(self.down2, grid_pool(fine))
-        deep = grid_pool(middle)
-        if self.context is not None:
-            deep = self.context(deep)
-        deep = self._run(self.bottom, deep)
-        middle = self._run(self.up2, self._joined(deep, middle))
-        features = self._run(self.up1, self._joined(middle, fine))
-        if isinstance(self.head, OctreeConv3d):
-            return LevelOutput(features, self.head(features), self.output)
-        with torch.autocast(features.device.type, enabled=False):  # 16 products, but the surface's last bits
-            read = features.features.to(self.head.weight.dtype)
-            raw = self.head(read)
-            if self.blend is not None:
-                raw = self.blend(raw, read, x.features)
-        return LevelOutput(features, features.with_features(raw), self.output)
-
-    def _joined(self, coarse: OctreeBatch, skipped: OctreeBatch) -> OctreeBatch:
-        up = grid_unpool(coarse, guide=skipped)
-        if self.join is Join.CONCAT:
-            return concat(up, skipped)
-        return up.with_features(up.features + skipped.features)
-
-    def _run(self, convs: nn.ModuleList, x: OctreeBatch) -> OctreeBatch:
-        if self.checkpointing and torch.is_grad_enabled():
-            result: OctreeBatch = checkpoint(_conv_relu, convs, x, self.residual, use_reentrant=False,
-                                             preserve_rng_state=False)
-            return result
-        return _conv_relu(convs, x, self.residual)
+from ocnf_model.ops import FusionBlend, concat, split_surface
 
 
 class OctNetFusion(nn.Module):
@@ -247,9 +65,9 @@ class OctNetFusion(nn.Module):
         blend: bool = False, checkpointing: bool = False, extra_channels: int = 0,
     ) -> None:
         super().__init__()
-        self.encoding = _choice(Encoding, "encoding", encoding)
-        self.join, self.carry = _choice(Join, "join", join), _choice(Carry, "carry", carry)
-        self.output = _choice(Output, "output", output)
+        self.encoding = choice(Encoding, "encoding", encoding)
+        self.join, self.carry = choice(Join, "join", join), choice(Carry, "carry", carry)
+        self.output = choice(Output, "output", output)
         if levels < 1:
             raise OcnfError("too few levels", where="OctNetFusion", field="levels", found=levels,
                             expected="at least 1")
@@ -258,7 +76,7 @@ class OctNetFusion(nn.Module):
                             expected="three positive numbers")
         self.channels = channels[0], channels[1], channels[2]
         self.band, self.context, self.residual = band, context, residual
-        self.normalise = _choice(Normaliser, "normalise", normalise)
+        self.normalise = choice(Normaliser, "normalise", normalise)
         self.precision = Precision.FLOAT32
         self.blend, self.extra_channels = blend, extra_channels
         if blend and self.output is Output.OCCUPANCY:
@@ -351,25 +169,3 @@ class OctNetFusion(nn.Module):
         if any(n % 32 for n in inputs[0].shape):
             raise OcnfError("two poolings need shapes that are multiples of 32", where="OctNetFusion",
                             field="inputs[0]", found=inputs[0].structure.describe())
-
-
-def _convs(normalise: Normaliser, *channels: int) -> nn.ModuleList:
-    kind = OctreeConv3d if normalise is Normaliser.NONE else NormalisedConv3d
-    return nn.ModuleList(kind(a, b) for a, b in pairwise(channels))
-
-
-def _conv_relu(convs: nn.ModuleList, x: OctreeBatch, residual: bool) -> OctreeBatch:
-    for conv in convs:
-        y = conv(x)
-        features = y.features.relu_()  # in place: a convolution does not need its result again
-        if residual and y.channels == x.channels:
-            features = features + x.features
-        x = y.with_features(features)
-    return x
-
-
-def _choice(kind: type[_Choice], field: str, value: str) -> _Choice:
-    if value not in tuple(kind):
-        raise OcnfError("no such setting", where="OctNetFusion", field=field, found=value,
-                        expected=" or ".join(kind))
-    return kind(value)

@@ -1,0 +1,9 @@
+"""The network: levels of an encoder-decoder on grid-octrees, coarse to fine (SEMANTICS 5)."""
+
+from ocnf_model.network.choices import Carry, Join, Normaliser, Output
+from ocnf_model.network.level import Level, LevelOutput
+from ocnf_model.network.network import OctNetFusion
+from ocnf_model.network.normalise import fold_normalisation, freeze_statistics
+
+__all__ = ["Carry", "Join", "Level", "LevelOutput", "Normaliser", "OctNetFusion", "Output",
+           "fold_normalisation", "freeze_statistics"]

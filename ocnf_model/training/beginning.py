@@ -1,0 +1,52 @@
+"""The network that a training begins with: a new one, or one with the weights of another run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from ocnf_model.checkpoint import Architecture, level_architecture, load_level, run_folder, trained_levels
+from ocnf_model.network import Level, Normaliser, OctNetFusion, fold_normalisation
+from ocnf_model.ops import FusionBlend
+from ocnf_model.training.settings import TrainSettings
+
+
+def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
+    """The network before training, and how many levels have the weights of the run that it starts from.
+
+    That run's network may lack a blend, or the first level's context: they begin as new ones do. And it may
+    have batch normalisation where this one has none: that is folded into its convolutions.
+
+    Raises:
+        OcnfError: the run to start from is missing, damaged or of another network.
+    """
+    torch.manual_seed(settings.seed)
+    network = Architecture.of(settings).network(settings.levels, settings.checkpointing)
+    for module in network.modules():
+        if isinstance(module, FusionBlend):
+            module.begin_at(settings.blend_from)
+    if settings.start is None:
+        return network, 0
+    folder = run_folder(settings.start)
+    n_started = min(trained_levels(folder), settings.levels)
+    for level, own in zip(range(n_started), network.levels, strict=False):
+        given = _given_level(folder, settings, level)
+        weights = fold_normalisation(given.state_dict()) if network.normalise is Normaliser.NONE \
+            else given.state_dict()
+        own.load_state_dict(weights, strict=False)  # `load_level` has seen to it that nothing else lacks
+    return network, n_started
+
+
+def _given_level(folder: Path, settings: TrainSettings, level: int) -> Level:
+    """A level (from 0) of the run to start from: as the settings say, but for what may lack."""
+    wanted, there = Architecture.of(settings), level_architecture(folder, level)
+    network = wanted.model_copy(update={
+        "blend": wanted.blend and there.blend,
+        "context": wanted.context if there.context else 0,
+        "normalise": there.normalise if wanted.normalise is Normaliser.NONE else wanted.normalise,
+    }).network(level + 1)
+    load_level(folder, network, level)
+    given = network.levels[level]
+    assert isinstance(given, Level)
+    return given
