@@ -161,3 +161,32 @@ def test_training_with_a_loader_in_another_process(number, data, tmp_path) -> No
     text = " ".join(lines)
     assert lines[-1] == f"stopped; the same command goes on in {out}"
     assert not any(word in text for word in ("Traceback", "semaphore", "Error", "arning")), text
+
+
+def test_threads_that_are_startled_by_the_end_say_nothing() -> None:
+    """As those of loky's are that watch workers while these are stopped."""
+    code = """
+import signal, sys, threading, time
+from ocnf_data.files.interrupts import listen
+listen()
+stopped = threading.Event()
+def watch():
+    stopped.wait()
+    raise RuntimeError("a worker is gone")
+thread = threading.Thread(target=watch)
+if sys.argv[1] == "early":
+    stopped.set()
+thread.start()
+thread.join(0.2)
+try:
+    signal.raise_signal(signal.SIGTERM)
+except KeyboardInterrupt:
+    stopped.set()
+    thread.join()
+    print("stopped")
+"""
+    for moment, said in (("late", False), ("early", True)):  # before the signal an error is one
+        run = subprocess.run([sys.executable, "-c", code, moment], capture_output=True, text=True, check=True)
+        assert run.stdout == "stopped\n"
+        assert ("a worker is gone" in run.stderr) == said
+        assert said or not run.stderr

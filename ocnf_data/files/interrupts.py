@@ -23,6 +23,13 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SECONDS_OF_GRACE = 2.0
 
 
+def _say_nothing(_: threading.ExceptHookArgs) -> None:
+    """What becomes of a thread's traceback once all is to stop.
+
+    Threads that watch other processes, loky's among them, are startled by their ends in more ways than one.
+    """
+
+
 class _Listener:
     """What has arrived, and whether it has to wait."""
 
@@ -44,6 +51,7 @@ class _Listener:
                 os._exit(128 + number)
             return
         self.first, self.since = number, time.monotonic()
+        threading.excepthook = _say_nothing
         if self.delays:
             self.waiting = True
         else:
