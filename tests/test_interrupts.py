@@ -166,7 +166,7 @@ def test_training_with_a_loader_in_another_process(number, data, tmp_path) -> No
 def test_threads_that_are_startled_by_the_end_say_nothing() -> None:
     """As those of loky's are that watch workers while these are stopped."""
     code = """
-import signal, sys, threading, time
+import signal, sys, threading
 from ocnf_data.files.interrupts import listen
 listen()
 stopped = threading.Event()

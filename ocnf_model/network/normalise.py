@@ -11,7 +11,7 @@ from ocnf_model.ops import OctreeConv3d
 
 _EPS = 1e-5  # added to the variance
 _NORM = ".norm."
-_MEAN = ".norm.running_mean"
+_MEAN = f"{_NORM}running_mean"
 
 
 class NormalisedConv3d(OctreeConv3d):

@@ -32,8 +32,9 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     n_started = min(trained_levels(folder), settings.levels)
     for level, own in zip(range(n_started), network.levels, strict=False):
         given = _given_level(folder, settings, level)
-        weights = fold_normalisation(given.state_dict()) if network.normalise is Normaliser.NONE \
-            else given.state_dict()
+        weights = given.state_dict()
+        if network.normalise is Normaliser.NONE:
+            weights = fold_normalisation(weights)
         own.load_state_dict(weights, strict=False)  # `load_level` has seen to it that nothing else lacks
     return network, n_started
 
