@@ -64,7 +64,7 @@ class Pair:
 
 
 def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduction.MEAN,
-            wrong_sign: float = 1.0) -> Tensor:
+            wrong_sign: float = 1.0, weights: OctreeBatch | None = None) -> Tensor:
     """Mean |prediction - target| over the voxels; values in units of tau, not clipped.
 
     Args:
@@ -72,13 +72,16 @@ def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduc
         target: the ground truth, of the same grids and channels.
         reduction: what is returned.
         wrong_sign: weight of a voxel that is taken for free but is occupied, or the other way round.
+        weights: (L, 1) what else the voxels' differences are multiplied by, of the same grids, nowhere finer
+            than both the prediction and the target; None: 1.
     """
     pair = Pair.of(prediction, target)
-    return _reduce(pair, _costs(pair, wrong_sign), reduction)
+    return _reduce(pair, _costs(pair, wrong_sign, weights), reduction)
 
 
 def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
-                      reduction: str = Reduction.MEAN, wrong_sign: float = 1.0) -> Tensor:
+                      reduction: str = Reduction.MEAN, wrong_sign: float = 1.0,
+                      weights: OctreeBatch | None = None) -> Tensor:
     """`l1_loss`, but a prediction beyond 1 costs nothing where the target is 1, nor below -1 where it is -1.
 
     A TSDF is cut off there, and so is the prediction before it is used or measured: all distances beyond the
@@ -86,25 +89,34 @@ def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
     """
     pair = Pair.of(prediction, target)
     beyond = (pair.target.abs() >= 1) & (pair.prediction * pair.target.sign() > 1)  # (L, C)
-    return _reduce(pair, _costs(pair, wrong_sign).masked_fill(beyond, 0.0), reduction)
+    return _reduce(pair, _costs(pair, wrong_sign, weights).masked_fill(beyond, 0.0), reduction)
 
 
-def _costs(pair: Pair, wrong_sign: float) -> Tensor:
-    """(L, C) absolute differences; occupied is TSDF < 0 (SEMANTICS 2)."""
-    costs = (pair.prediction - pair.target).abs()
+def _costs(pair: Pair, wrong_sign: float, weights: OctreeBatch | None) -> Tensor:
+    """(L, C) absolute differences, weighed; occupied is TSDF < 0 (SEMANTICS 2)."""
+    costs = _weighed(pair, (pair.prediction - pair.target).abs(), weights)
     if wrong_sign == 1:
         return costs
     return torch.where((pair.prediction < 0) == (pair.target < 0), costs, wrong_sign * costs)
 
 
-def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN) -> Tensor:
+def _weighed(pair: Pair, costs: Tensor, weights: OctreeBatch | None) -> Tensor:
+    if weights is None:
+        return costs
+    return costs * weights.refined(pair.structure).features.to(costs.dtype)  # (L, C) * (L, 1)
+
+
+def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN,
+             weights: OctreeBatch | None = None) -> Tensor:
     """Mean binary cross entropy over the known voxels, of logits against occupancies in [0, 1].
 
     A voxel whose occupancy is negative is not known and does not count; a grid without any has the loss 0.
+    `weights` as of `l1_loss`; the mean is over voxels all the same, not over weights.
     """
     pair = Pair.of(logits, occupancy)
     known = pair.target >= 0
     costs = binary_cross_entropy_with_logits(pair.prediction, pair.target.clamp(min=0), reduction="none")
+    costs = _weighed(pair, costs, weights)
     return _reduce(pair, costs * known, reduction, pair.sum_over_voxels(known.double()))
 
 

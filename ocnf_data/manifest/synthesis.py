@@ -120,6 +120,10 @@ class Synthesis(Strict):
     metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
     """How many real metres a metre of the grid stands for, in the noise of `kinect`. Scenes have real sizes,
     which are taken instead."""
+    misaligned: Annotated[tuple[Annotated[Real, Field(ge=0, le=32)], Annotated[Real, Field(ge=0, le=32)]],
+                          Range] = (0.0, 0.0)
+    """Range of the error of the poses that the views are fused by: the standard deviation by which it moves
+    what a camera sees, in voxels of the finest resolution."""
     repeat: Annotated[Int, Field(ge=1, le=1000)] = 1
     """Number of epochs in which sample i keeps its mesh, rotation and scale, while its views, noise and
     symmetry are drawn again each time. Its ground truth, most of the work, is then made once and kept in a

@@ -66,6 +66,7 @@ class Look:
         cameras: how cameras are chosen in a scene, instead of `directions`.
         background: whether rays that meet nothing of a scene count as free space, as if there were something
             farther off; else they measure nothing.
+        misaligned: standard deviation of the error of the poses, in voxels of the finest resolution.
     """
 
     directions: F64 | None
@@ -77,6 +78,7 @@ class Look:
     strength: float = 1.0
     cameras: SceneCameras = SceneCameras.SINGLE
     background: bool = True
+    misaligned: float = 0.0
 
 
 def season_of(epoch: int, repeat: int) -> int:
@@ -125,7 +127,7 @@ def draw_look(sources: Sources, seed: int, epoch: int, number: int) -> Look:
     # Of a stream of its own, so that the looks at meshes are what they were before there were scenes.
     scene = Draw("ocnf.synthesis.scene_look", seed, epoch, number)
     look = Look(directions, views, model, seed, key, sigma=sigma, cameras=_pick_name(scene, settings.cameras),
-                background=scene.chance(0.5))
+                background=scene.chance(0.5), misaligned=scene.between(*settings.misaligned))
     if model is NoiseModel.KINECT:
         return replace(look, sigma=0.0, strength=draw.between(*settings.strength))
     return look

@@ -25,6 +25,7 @@ from ocnf_data.scenes import draft_scene, scene_mesh
 from ocnf_data.synthesis.draw import Body, Look
 from ocnf_data.synthesis.scenes import PlacedScene, look_cameras, place_scene, truth_cameras
 from ocnf_data.views.cameras import Views
+from ocnf_data.views.misalignment import misalign
 from ocnf_data.views.noise import NoiseModel, add_noise, view_noise
 from ocnf_data.views.sensor import add_sensor_noise, sensor_draws
 
@@ -86,7 +87,7 @@ def make_truths(manifest: Manifest, posed: Posed, resolutions: tuple[int, ...]) 
 
 def make_inputs(manifest: Manifest, posed: Posed, look: Look, encoding: Encoding,
                 resolutions: tuple[int, ...]) -> Truths:
-    """The input, fused from the noisy views of the look.
+    """The input, fused from the noisy views of the look, by poses that may be off.
 
     Raises:
         OcnfError: `crowded` where a scene has no place for the cameras.
@@ -100,7 +101,9 @@ def make_inputs(manifest: Manifest, posed: Posed, look: Look, encoding: Encoding
         views = _render_scene(manifest, posed, R, T)
         if not look.background:
             views = views.without_background()
-    pyramid = DepthPyramid(observe_look(views, look, metres))
+    voxel = manifest.normalise.extent / max(manifest.resolutions)
+    observed = observe_look(views, look, metres)
+    pyramid = DepthPyramid(misalign(observed, look.misaligned * voxel, look.seed, look.key))
     return {resolution: quantise(fuse_input(manifest, pyramid, encoding, resolution), encoding)
             for resolution in resolutions}
 

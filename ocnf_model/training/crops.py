@@ -19,6 +19,7 @@ from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.network import OctNetFusion
+from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.crop import crop
 from ocnf_model.octree.structure import Structure
 from ocnf_model.training.batches import Example
@@ -62,7 +63,7 @@ def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Seque
 
 
 def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I64, size: int,
-                loss: Callable[..., Tensor]) -> Tensor:
+                loss: Callable[..., Tensor], weights: OctreeBatch | None = None) -> Tensor:
     """The loss of each sample, (B,), over the inner voxels of its box.
 
     Args:
@@ -71,7 +72,8 @@ def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I6
         level: number of the level, from 0.
         corners: (B, 3) in trees.
         size: trees along each axis.
-        loss: a function of (prediction, target) that gives a mean over voxels.
+        loss: a function of (prediction, target, weights=) that gives a mean over voxels.
+        weights: of the voxels of whole grids, for the loss.
     """
     with torch.no_grad():
         before = network.run(example.inputs[:level])[-1] if level else None
@@ -85,5 +87,6 @@ def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I6
         high = np.where(corner + size == grid, size, size - MARGIN)
         depth, height, width = (int(n) for n in high - low)
         inner, shape = low[None], (depth, height, width)
-        losses.append(loss(crop(raw, inner, shape, [b]), crop(target, inner, shape, [b])))
+        weighed = None if weights is None else crop(weights, (corner + low)[None], shape, [b])
+        losses.append(loss(crop(raw, inner, shape, [b]), crop(target, inner, shape, [b]), weights=weighed))
     return torch.stack(losses)

@@ -159,6 +159,9 @@ class TrainSettings(Strict):
     wrong_sign: Annotated[Real, Field(ge=1, le=1e3)] = 1.0
     """Weight in that loss of a voxel on the wrong side of the surface, where any other has 1; 1 in the
     paper."""
+    unseen: Annotated[Real, Field(ge=0, le=1)] = 1.0
+    """Weight in that loss of a voxel that no input view has measured, where any other has 1: what is there
+    can only be imagined, and of scans nobody looks at it; 1 in the paper."""
     average: Annotated[Real, Field(ge=0, lt=1)] = 0.0
     """Share of the past that a step keeps in the running average of the weights, which is what is validated
     and kept: 0.998 averages over some 500 steps. 0 for the weights as they are (the paper)."""
@@ -188,6 +191,13 @@ class TrainSettings(Strict):
             if stage.freeze_after is not None and self.normalise is Normaliser.NONE:
                 raise refused("there are no statistics to keep", at=f"stages[{level}].freeze_after",
                               found=stage.freeze_after, expected="null, or normalise: batch")
+        return self
+
+    @model_validator(mode="after")
+    def _tells_what_is_seen(self) -> TrainSettings:
+        if self.unseen != 1 and self.encoding is Encoding.OCCUPANCY:
+            raise refused("this encoding does not tell what was measured", at="unseen", found=self.unseen,
+                          expected="1, or another encoding")
         return self
 
     @field_validator("resolutions")

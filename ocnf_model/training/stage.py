@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
 from multiprocessing import AuthenticationError
 from pathlib import Path
 from types import TracebackType
@@ -31,19 +29,17 @@ from ocnf_model.checkpoint import (
     torch_version,
 )
 from ocnf_model.devices import autocast
-from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.network import LevelOutput, OctNetFusion, Output, freeze_statistics
 from ocnf_model.training.average import WeightAverage
 from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.choice import is_better
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
-from ocnf_model.training.settings import Loss, TrainSettings
+from ocnf_model.training.objective import objective, voxel_weights
+from ocnf_model.training.settings import TrainSettings
 from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
-
-LOSSES: dict[Loss, Callable[..., Tensor]] = {Loss.L1: l1_loss, Loss.TRUNCATED_L1: truncated_l1_loss}
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,20 +143,18 @@ class Trainer:
         accumulate = self._stage.accumulate
         group = min(accumulate, n_batches - batch.step // accumulate * accumulate)
         example = self._example(batch)
-        loss = bce_loss if self._job.network.output is Output.OCCUPANCY else settings_loss(self._job.settings)
+        settings, output = self._job.settings, self._job.network.output
+        loss, weights = objective(settings, output), voxel_weights(settings, output, example)
         if self._stage.crop is None:
-            losses = loss(self._forward(example).raw, example.target, "none")
+            losses = loss(self._forward(example).raw, example.target, "none", weights=weights)
         else:
-            losses = self._crop_losses(example, batch, self._stage.crop // TREE_WIDTH, loss)
+            size = self._stage.crop // TREE_WIDTH
+            corners = draw_corners(example.target.structure, size, settings.seed, batch.epoch, batch.keys)
+            with self._precision():
+                losses = crop_losses(self._job.network, example, self._state.level, corners, size, loss,
+                                     weights)
         (losses.mean() / group).backward()
         return losses.detach()
-
-    def _crop_losses(self, example: Example, batch: AnyBatch, size: int,
-                     loss: Callable[..., Tensor]) -> Tensor:
-        corners = draw_corners(example.target.structure, size, self._job.settings.seed, batch.epoch,
-                               batch.keys)
-        with self._precision():
-            return crop_losses(self._job.network, example, self._state.level, corners, size, loss)
 
     def _update(self, met: list[tuple[AnyBatch, Tensor]]) -> float:
         """A step of the optimiser over some batches; their mean loss over all ranks."""
@@ -267,11 +261,6 @@ class Trainer:
     def _save(self) -> None:
         if self._job.world.is_main:
             save_state(self._job.folder, self._state, self._level, self._optimiser, self._average)
-
-
-def settings_loss(settings: TrainSettings) -> Callable[..., Tensor]:
-    """The loss of a TSDF by some settings: a function of (prediction, target, reduction)."""
-    return partial(LOSSES[settings.loss], wrong_sign=settings.wrong_sign)
 
 
 def _is_finite(value: float) -> bool:

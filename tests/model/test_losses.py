@@ -16,6 +16,7 @@ from ocnf_model.evaluation.measure import Field
 from ocnf_model.losses import bce_loss, l1_loss, truncated_l1_loss
 from ocnf_model.metrics import mad_mm, occupancy_mad, occupancy_overlap, tsdf_overlap
 from ocnf_model.octree.leafmap import leaf_means
+from ocnf_model.octree.structure import Structure
 
 few = settings(max_examples=20, deadline=None)
 
@@ -74,6 +75,31 @@ def test_a_wrong_side_of_the_surface_costs_its_weight(truncated, data, batches, 
         costs = torch.where((g == 1) & (p > 1) | (g == -1) & (p < -1), 0, costs)
     theirs = (costs * torch.where((p < 0) != (g < 0), 2.5, 1.0)).mean()
     ours = (truncated_l1_loss if truncated else l1_loss)(a, b, wrong_sign=2.5)
+    torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(torch.autograd.grad(ours, features), torch.autograd.grad(theirs, features),
+                               rtol=1e-10, atol=1e-12)
+
+
+@few
+@given(data=st.data())
+@pytest.mark.parametrize("loss", [l1_loss, truncated_l1_loss, bce_loss])
+def test_weights_multiply_the_costs_of_voxels(loss, data, batches, make_batch, dense) -> None:
+    """They stand on a structure coarser than both, and the mean is over voxels, not over weights."""
+    a, b = data.draw(pairs(batches, make_batch))
+    b = b.with_features(b.features.clamp(-1, 1).abs() if loss is bce_loss else b.features.clamp(-1, 1))
+    trees = a.structure.trees & b.structure.trees
+    structure = Structure(trees)  # what is split in both
+    weights = OctreeBatch(structure, torch.rand(structure.n_leaves, 1, dtype=a.features.dtype))
+    features = a.features.clone().requires_grad_()
+    a = a.with_features(features)
+    p, g, w = dense.expand(a), dense.expand(b), dense.expand(weights)
+    if loss is bce_loss:
+        costs = binary_cross_entropy_with_logits(p, g, reduction="none")
+    else:
+        costs = (p - g).abs()
+        if loss is truncated_l1_loss:
+            costs = torch.where((g == 1) & (p > 1) | (g == -1) & (p < -1), 0, costs)
+    ours, theirs = loss(a, b, weights=weights), (w * costs).mean()
     torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(torch.autograd.grad(ours, features), torch.autograd.grad(theirs, features),
                                rtol=1e-10, atol=1e-12)

@@ -41,8 +41,8 @@ from ocnf_model.training.average import WeightAverage
 from ocnf_model.training.batches import AnyBatch, Example, make_example
 from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.data import open_data
+from ocnf_model.training.objective import objective
 from ocnf_model.training.settings import TrainSettings, read_settings
-from ocnf_model.training.stage import settings_loss
 from ocnf_model.training.validation import Validator
 
 _BATCH = {1: 2}  # samples a step; 1 at later levels
@@ -51,11 +51,15 @@ _WARM_UP = 20  # steps
 _COMPARED = 12  # steps of two rows in turn, the first two of which do not count
 
 
-def log_l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str) -> Tensor:
+def log_l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = "mean",
+                weights: OctreeBatch | None = None) -> Tensor:
     """L1 of sign(t) log(1 + |t|), t in voxels of the truncation, as SG-NN (Dai et al. 2020) has it."""
     pair = Pair.of(prediction, target)
     scaled = [torch.sign(t) * torch.log1p(3 * t.abs()) for t in (pair.prediction, pair.target)]
-    sums = pair.sum_over_voxels((scaled[0] - scaled[1]).abs())  # (B, 1)
+    costs = (scaled[0] - scaled[1]).abs()
+    if weights is not None:
+        costs = costs * weights.refined(pair.structure).features
+    sums = pair.sum_over_voxels(costs)  # (B, 1)
     return sums.mean(1) / math.prod(pair.structure.shape)
 
 
@@ -214,8 +218,9 @@ class Bench:
                                   "precision": self._precision, "mixture": parts,
                                   "samples_per_epoch": 2000}, row)
         settings = settings.resolved(self._manifest.to_dict(), None, self._data)
-        return Training(self._network(settings, task), settings, self._batches(settings, task),
-                        own_loss or settings_loss(settings))
+        network = self._network(settings, task)
+        return Training(network, settings, self._batches(settings, task),
+                        own_loss or objective(settings, network.output))
 
     def _network(self, settings: TrainSettings, task: Task) -> OctNetFusion:
         torch.manual_seed(task.seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -212,3 +213,27 @@ def test_scenes_alone_may_have_the_rig_of_their_validation(small: Any) -> None:
 def test_the_sums_of_manifests_without_scenes_are_what_they_were(small: Any) -> None:
     assert open_sources(small(), None, "train").checksum == (
         "e716fd552068e76ab9cb3f6d3a67bb682f4c137164e8006e0e48b2847d1a1be3")
+
+
+def test_poses_that_do_not_fit_change_the_input_alone(mixed: Any) -> None:
+    """The views of a look are what they were; they are fused where a tracker would have them."""
+    exact, off = mixed(), mixed(misaligned=[1.0, 2.0])
+    sources = [open_sources(manifest, None, "train") for manifest in (exact, off)]
+    shares = []
+    for number in range(4):
+        body, other = (draw_body(source, 0, 0, number) for source in sources)
+        assert (body.item, body.scale, body.zoom) == (other.item, other.scale, other.zoom)
+        look, moved = (draw_look(source, 0, 0, number) for source in sources)
+        assert look.misaligned == 0 and 1 <= moved.misaligned < 2
+        np.testing.assert_equal(vars(replace(moved, misaligned=0.0)), vars(look))
+        posed = pose(exact, body, None)
+        plain, found, again = (
+            make_inputs(manifest, posed, chosen, Encoding.TSDF, (32,))[32]
+            for manifest, chosen in ((exact, look), (exact, moved), (off, moved)))
+        np.testing.assert_array_equal(found.trees, again.trees)
+        np.testing.assert_array_equal(found.data, again.data)
+        truths = [make_truths(manifest, posed, (32,))[32].data for manifest in (exact, off)]
+        np.testing.assert_array_equal(*truths)
+        shares.append(len(plain.data) != len(found.data) or not np.array_equal(plain.data, found.data))
+    assert sum(shares) >= 3  # views may look past all there is
+    assert len({draw_look(sources[1], 0, 0, number).misaligned for number in range(20)}) == 20

@@ -68,6 +68,20 @@ def test_the_outer_voxels_of_a_box_have_no_loss_but_at_the_grids_faces(make_batc
     torch.testing.assert_close(found, expected)
 
 
+def test_weights_are_cut_out_of_the_same_place(make_batch) -> None:
+    """A box's loss with the weights of the whole grid is that of the voxels that have a weight."""
+    torch.manual_seed(2)
+    network = OctNetFusion(**SMALL, levels=1).double()
+    x, target = (make_batch(seed, (8, 8, 16), 1, 1, 0.3, torch.float64) for seed in (0, 1))
+    weights = x.with_features(torch.rand(len(x.features), 1, dtype=torch.float64))
+    corner, low, shape = np.array([[0, 0, 8]]), np.array([[0, 0, MARGIN]]), (8, 8, 8 - MARGIN)
+    (found,) = crop_losses(network, Example([x], target), 0, corner, 8, l1_loss, weights)
+    box = network.levels[0](crop(x, corner, (8, 8, 8))).raw
+    expected = l1_loss(crop(box, low, shape), crop(target, corner + low, shape),
+                       weights=crop(crop(weights, corner, (8, 8, 8)), low, shape))
+    torch.testing.assert_close(found, expected)
+
+
 def test_corners_are_aligned_within_the_grid_and_a_pure_function(make_batch) -> None:
     truth = make_batch(3, (8, 12, 16), 3, 1, 0.02).structure
     keys = ["a", "b", "c"]

@@ -21,11 +21,11 @@ ENVIRONMENT = {**{name: value for name, value in os.environ.items() if name not 
 # Dies at batch number `last` of this process, between forward and backward pass.
 TRAINS_UNTIL_KILLED = """
 import os, signal, sys
-import ocnf_model.training.stage as stage
+from ocnf_model.training import objective
 from ocnf_model.cli import main
 
 left = int(sys.argv.pop(1))
-l1_loss = stage.LOSSES["l1"]
+l1_loss = objective.LOSSES["l1"]
 
 def counted(*arguments, **named):
     global left
@@ -34,7 +34,7 @@ def counted(*arguments, **named):
         os.kill(os.getpid(), signal.SIGKILL)
     return l1_loss(*arguments, **named)
 
-stage.LOSSES["l1"] = counted
+objective.LOSSES["l1"] = counted
 main()
 """
 

@@ -11,7 +11,6 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-import ocnf_model.training.stage as stage_module
 from ocnf_data import ShardDataset
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import load_run, open_run
@@ -19,6 +18,7 @@ from ocnf_model.cli import app
 from ocnf_model.metrics import mad_mm
 from ocnf_model.network import OctNetFusion
 from ocnf_model.training.batches import to_octree_batch
+from ocnf_model.training.objective import LOSSES
 from ocnf_model.training.run import train
 from ocnf_model.training.train_state import load_state
 
@@ -166,7 +166,7 @@ def test_a_device_that_is_not_there(tiny, small, out) -> None:
 @pytest.mark.parametrize("where", ["loss", "gradient"])
 def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, small, out, monkeypatch) -> None:
     calls = []
-    l1_loss = stage_module.LOSSES["l1"]
+    l1_loss = LOSSES["l1"]
 
     def poisoned(*arguments, **named):
         losses = l1_loss(*arguments, **named)
@@ -176,7 +176,7 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
             losses = losses + poison if where == "loss" else losses * (losses * 0).sqrt()
         return losses
 
-    monkeypatch.setitem(stage_module.LOSSES, "l1", poisoned)
+    monkeypatch.setitem(LOSSES, "l1", poisoned)
     settings = small(levels=1, stages=[stage(epochs=3, accumulate=1)], save_every=1)
     keys = next(batch.keys for batch in _epoch(tiny, 2))
     with pytest.raises(OcnfError, match=f"the {where} is not finite") as error:
