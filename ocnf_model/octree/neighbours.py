@@ -37,13 +37,15 @@ class Neighbours:
     Attributes:
         octets: (O, 64) int32, the leaf at each voxel (z, y, x) in and around an octet; L outside the grid.
         voxels, wide: (8 O,) and (I,) int64, the leaves that are voxels and the others, each in order.
+        near: (U,) int64, the leaves that some wide leaf reads, in order.
         starts: (27 I + 1,) int32, row (i, k) has the entries starts[27 i + k] to starts[27 i + k + 1].
-        columns, weights: (N,) int32 and float32, the leaf and the fraction of each entry.
+        columns, weights: (N,) int32 and float32, which of the leaves `near` an entry is, and its fraction.
     """
 
     octets: Tensor
     voxels: Tensor
     wide: Tensor
+    near: Tensor
     starts: Tensor
     columns: Tensor
     weights: Tensor
@@ -57,9 +59,10 @@ class Neighbours:
         count_wide(trees, prefix, grid, octet_prefix, starts[1:])
         np.cumsum(starts, out=starts)
         octets, columns, weights = fill(trees, prefix, grid, octet_prefix, starts)
+        near = among_near(columns, int(prefix[-1]))
         voxels, wide = (np.flatnonzero(of) for of in (structure.sizes == 1, structure.sizes > 1))
         return cls(*(torch.from_numpy(array) for array in (
-            octets, voxels, wide, starts.astype(np.int32), columns, weights)))
+            octets, voxels, wide, near, starts.astype(np.int32), columns, weights)))
 
     def to(self, device: torch.device) -> Neighbours:
         """The tables on a device."""
@@ -248,3 +251,17 @@ def _fill_rows(found: I32, cursor: I64, w: int, columns: I32, weights: F32) -> N
                         columns[cursor[k]] = found[m, 0]
                         weights[cursor[k]] = area * found[m, 7 + kx] / (w * w * w)
                         cursor[k] += 1
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def among_near(columns: I32, n_leaves: int) -> I64:
+    """The leaves that occur in `columns` (N,), in order, (U,); each entry becomes its place among them."""
+    place = np.zeros(n_leaves, np.int32)
+    for j in prange(len(columns)):
+        place[columns[j]] = 1  # threads that write the same do not disturb each other
+    near = np.flatnonzero(place)
+    for i in range(len(near)):
+        place[near[i]] = i
+    for j in prange(len(columns)):
+        columns[j] = place[columns[j]]
+    return near

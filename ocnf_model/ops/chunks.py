@@ -53,17 +53,21 @@ def plan(neighbours: Neighbours, channels: int) -> list[Chunk]:
     return chunks
 
 
-def gather(neighbours: Neighbours, features: Tensor,
+def near_rows(neighbours: Neighbours, features: Tensor) -> Tensor:
+    """What the wide leaves read of features (L, C), (U, C) in at least float32, as their sums are."""
+    rows = features.detach().index_select(0, neighbours.near)
+    return rows.float() if rows.element_size() < 4 else rows
+
+
+def gather(neighbours: Neighbours, features: Tensor, near: Tensor,
            chunks: Sequence[Chunk]) -> Iterator[tuple[Tensor, Tensor]]:
     """The leaves of each chunk, (m,) int64, and A_k x of them at all offsets k, (m, 27 C).
 
-    The second tensor is overwritten by the next chunk.
+    The second tensor is overwritten by the next chunk. `near` are the `near_rows`, for all chunks once.
     """
     features = features.detach()
     lengths = [len(chunk) for chunk in chunks if chunk.entries is None]
     buffer = features.new_empty(max(lengths, default=0), N_OFFSETS * features.shape[1])
-    # Sums are of float32; all rows are converted once, not by each chunk.
-    summed = features.float() if len(lengths) < len(chunks) and features.element_size() < 4 else features
     copy = _copy_by_kernel if features.device.type == "cpu" else _copy
     for chunk in chunks:
         if chunk.entries is None:
@@ -74,7 +78,7 @@ def gather(neighbours: Neighbours, features: Tensor,
             leaves = neighbours.wide[chunk.rows]  # (m,)
             starts = neighbours.starts[N_OFFSETS * chunk.rows.start : N_OFFSETS * chunk.rows.stop + 1]
             gathered = sparse_product(starts - chunk.entries.start, neighbours.columns[chunk.entries],
-                                      neighbours.weights[chunk.entries], summed).to(features.dtype)
+                                      neighbours.weights[chunk.entries], near).to(features.dtype)
             yield leaves, gathered.view(len(leaves), -1)  # (27 m, C) -> (m, 27 C)
 
 

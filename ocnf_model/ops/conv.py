@@ -24,7 +24,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.octree.neighbours import Neighbours
 from ocnf_model.octree.structure import Structure
-from ocnf_model.ops.chunks import Chunk, gather, map_chunks, plan, put_rows
+from ocnf_model.ops.chunks import Chunk, gather, map_chunks, near_rows, plan, put_rows
 from ocnf_model.ops.gemm import linear
 
 
@@ -101,9 +101,10 @@ class _Convolution(torch.autograd.Function):
         # Columns in the order of a gathered row: offsets, then channels.
         matrix = weight.permute(0, 2, 3, 4, 1).reshape(len(weight), -1)  # (C_out, 27 C_in)
         result = features.new_empty(len(features), len(weight))  # (L, C_out)
+        near = near_rows(neighbours, features)
 
         def convolve(chunks: Sequence[Chunk]) -> None:
-            for leaves, gathered in gather(neighbours, features, chunks):
+            for leaves, gathered in gather(neighbours, features, near, chunks):
                 put_rows(result, leaves, linear(gathered, matrix, bias))  # (m, 27 C_in) -> (m, C_out)
 
         map_chunks(convolve, plan(neighbours, features.shape[1]), features.device)
@@ -122,11 +123,12 @@ class _Convolution(torch.autograd.Function):
         # (C_in, 27 C_out): h_k comes from the offset opposite to k.
         matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
         grad_features = torch.empty_like(features) if wants_features else None
+        near = near_rows(neighbours, scaled)
 
         def convolve_back(chunks: Sequence[Chunk]) -> Tensor:
             # A sum over many chunks is kept in float32 at least.
             grad_matrix = matrix.new_zeros(matrix.shape, dtype=torch.promote_types(grad.dtype, torch.float32))
-            for leaves, gathered in gather(neighbours, scaled, chunks):
+            for leaves, gathered in gather(neighbours, scaled, near, chunks):
                 voxels = volumes.index_select(0, leaves)  # (m, 1)
                 if grad_features is not None:
                     put_rows(grad_features, leaves, linear(gathered, matrix).mul_(voxels))

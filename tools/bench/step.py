@@ -110,6 +110,7 @@ def watch() -> None:
             yield found
 
     for name, replaced in (("linear", multiply), ("gather", chunks),
+                           ("near_rows", clock.timed("gather", conv.near_rows)),
                            ("put_rows", clock.timed("place", conv.put_rows))):
         setattr(conv, name, replaced)
     for method in ("table", "relation"):

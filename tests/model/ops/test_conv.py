@@ -10,7 +10,10 @@ from torch.nn.functional import conv3d
 
 from ocnf_data.errors import OcnfError
 from ocnf_model import OctreeBatch, OctreeConv3d
+from ocnf_model.octree.neighbours import Neighbours
+from ocnf_model.octree.structure import Structure
 from ocnf_model.ops import octree_conv
+from ocnf_model.ops.chunks import near_rows
 
 
 def reference(dense, x: OctreeBatch, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
@@ -95,8 +98,6 @@ def test_only_the_gradients_asked_for(make_batch) -> None:
 
 
 def test_tables_are_made_once_for_all_layers_on_a_structure(make_batch, monkeypatch) -> None:
-    from ocnf_model.octree.neighbours import Neighbours
-
     calls = []
     build = Neighbours.build
     counting = lambda structure: (calls.append(structure), build(structure))[1]  # noqa: E731
@@ -152,3 +153,25 @@ def test_what_does_not_fit_is_refused(channels, dtype, message, make_batch) -> N
         OctreeConv3d(2, 4)(make_batch(0, channels=channels, dtype=dtype))
     with pytest.raises(OcnfError, match="out_channels"):
         OctreeConv3d(2, 0)
+
+
+def test_wide_leaves_read_near_ones_alone(make_batch) -> None:
+    """`near` is what the entries name, once each and in order; a grid of voxels has no wide leaf at all."""
+    x = make_batch(9, (3, 2, 2), channels=3, likelihood=0.5)
+    tables = Neighbours.build(x.structure)
+    assert torch.equal(tables.columns.unique().long(), torch.arange(len(tables.near)))
+    assert torch.equal(tables.near, tables.near.unique())
+    assert len(tables.near) < x.structure.n_leaves
+    far = torch.ones(x.structure.n_leaves, dtype=torch.bool)
+    far[tables.near] = False
+    conv = OctreeConv3d(3, 4).double()
+    moved = x.features.clone()
+    moved[far] += 1
+    wide = tables.wide
+    before, after = (conv(x.with_features(features)).features[wide] for features in (x.features, moved))
+    assert torch.equal(before, after)
+    moved[tables.near[::7]] += 1
+    assert not torch.equal(before, conv(x.with_features(moved)).features[wide])
+    full = Structure.full(1, (8, 8, 16))
+    assert len(Neighbours.build(full).near) == 0
+    assert torch.equal(near_rows(Neighbours.build(full), torch.ones(full.n_leaves, 2)), torch.ones(0, 2))
