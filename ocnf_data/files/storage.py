@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import errno
 import os
-import re
 import secrets
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -24,14 +23,14 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, cast
 
 from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.files.addresses import checked_name, is_temporary, split_url
+from ocnf_data.files.disk import flush, make_folder, read_exactly
 from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 _LOCAL_PROTOCOLS = frozenset({"file", "local"})
-# One letter would be a Windows drive. `pipe:ls` has no slashes, and must not pass for a relative path.
-_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):(//)?")
 # s3fs holds what it sends in one PUT in memory, and splits from 100 MB on unless told otherwise. A split
 # upload appears as a whole too, but leaves parts that cost money where its process is killed.
 _LARGEST_PUT = 2**30
@@ -50,7 +49,7 @@ class Store:
 
     def __init__(self, url: str | os.PathLike[str]) -> None:
         text = os.fspath(url)
-        self.protocol, path = _split(text)
+        self.protocol, path = split_url(text)
         self.root: Path | None = None
         if self.protocol in _LOCAL_PROTOCOLS:
             self.root = Path(path).expanduser().absolute()
@@ -79,11 +78,11 @@ class Store:
 
     def where(self, name: str) -> str:
         """The full path or URL of a file, for messages and for `Store` or fsspec elsewhere."""
-        return f"{self.url.rstrip('/')}/{_checked(name)}"
+        return f"{self.url.rstrip('/')}/{checked_name(name)}"
 
     def local_path(self, name: str) -> Path | None:
         """The file's path on this machine, or None where the store is remote."""
-        return None if self.root is None else self.root / _checked(name)
+        return None if self.root is None else self.root / checked_name(name)
 
     # ---- reading
 
@@ -116,7 +115,7 @@ class Store:
                     raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
                 with path.open("rb", buffering=0) as file:
                     size = os.fstat(file.fileno()).st_size
-                    data = _read_exactly(file, size) if size <= limit else b""
+                    data = read_exactly(file, size) if size <= limit else b""
             else:
                 data = self._read_start(name, limit + 1)
                 size = len(data)
@@ -138,7 +137,7 @@ class Store:
             elif path is not None:
                 with path.open("rb", buffering=0) as file:
                     file.seek(offset)
-                    data = _read_exactly(file, size)
+                    data = read_exactly(file, size)
             else:
                 end = min(offset + size, self.size(name))  # servers answer a range past the end with an error
                 data = self._fs.cat_file(self._remote(name), start=offset, end=end) if end > offset else b""
@@ -168,7 +167,7 @@ class Store:
         """Names of all files in `folder` and below, sorted; without temporaries; [] for a missing folder."""
         with storage_errors(self.url):
             if self.root is not None:
-                names = [name for name in self._walk(folder) if not _is_temporary(name)]
+                names = [name for name in self._walk(folder) if not is_temporary(name)]
             else:
                 base = self._remote(folder) if folder else self._remote_root
                 self._fs.invalidate_cache()  # another process may have written since
@@ -196,15 +195,15 @@ class Store:
                     yield path
                     self._put(path, name)
                 return
-            final = self.root / _checked(name)
-            _make_folder(final.parent)
+            final = self.root / checked_name(name)
+            make_folder(final.parent)
             # Not mkstemp: its files are unreadable for the group, whatever the umask says.
             path = final.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}-{final.name}")
             try:
                 yield path
-                _flush(path)
+                flush(path)
                 path.replace(final)
-                _flush(final.parent)
+                flush(final.parent)
             finally:
                 path.unlink(missing_ok=True)
 
@@ -230,7 +229,7 @@ class Store:
         if self.root is None:  # remote temporaries never get a name there
             return []
         with storage_errors(self.url):
-            left = sorted(name for name in self._walk() if _is_temporary(name))
+            left = sorted(name for name in self._walk() if is_temporary(name))
             for name in left:
                 (self.root / name).unlink(missing_ok=True)
         return left
@@ -239,7 +238,7 @@ class Store:
 
     def _walk(self, folder: str = "") -> Iterator[str]:
         assert self.root is not None
-        base = self.root / _checked(folder) if folder else self.root
+        base = self.root / checked_name(folder) if folder else self.root
 
         def fail(error: OSError) -> None:  # os.walk's default is to skip unreadable folders in silence
             if error.errno != errno.ENOENT:
@@ -264,7 +263,7 @@ class Store:
         return cast(str, self._fs._strip_protocol(self.url)).rstrip("/")
 
     def _remote(self, name: str) -> str:
-        return f"{self._remote_root}/{_checked(name)}"
+        return f"{self._remote_root}/{checked_name(name)}"
 
     def _info(self, name: str) -> dict[str, Any]:
         self._fs.invalidate_cache()  # another process may have written since
@@ -286,64 +285,3 @@ class Store:
         if self.protocol in ("s3", "s3a") and path.stat().st_size < _LARGEST_PUT:
             options["chunksize"] = _LARGEST_PUT // 2  # s3fs splits at twice the chunk
         self._fs.put_file(str(path), self._remote(name), **options)
-
-
-def _split(text: str) -> tuple[str, str]:
-    """(protocol, path) of a path or URL; refuses everything that is not one plain, known protocol."""
-    scheme = _SCHEME.match(text)
-    if not text or "\0" in text:
-        raise OcnfError("not a path or URL", where="storage", found=repr(text))
-    if scheme is None:
-        return "file", text
-    protocol = scheme[1].lower()
-    if scheme[2] is None:
-        raise OcnfError("commands and protocols without // are not opened", code="refused", where=text,
-                        found=f"{scheme[1]}:", expected="a path, or a URL such as s3://bucket/folder",
-                        fix="write ./ before a local path that holds a colon")
-    if "::" in text:
-        raise OcnfError("chained URLs are not opened", code="refused", where=text, expected="one plain URL")
-    import fsspec
-
-    if protocol not in fsspec.available_protocols():
-        raise OcnfError("unknown protocol", code="refused", where=text, found=f"{protocol}://",
-                        expected="a path, or a URL that fsspec opens: s3://, gs://, az://, memory://, ...")
-    return protocol, text[scheme.end():]
-
-
-def _checked(name: str) -> str:
-    """The name, if it is a plain relative POSIX path that stays inside the store."""
-    parts = name.split("/")
-    if any(part in ("", ".", "..") for part in parts) or "\\" in name or "\0" in name:
-        raise OcnfError("not a name inside the store", code="refused", where=repr(name),
-                        expected="a relative path such as train/shard-000000.tar, without . or ..")
-    return name
-
-
-def _is_temporary(name: str) -> bool:
-    return PurePosixPath(name).name.startswith(TEMPORARY_PREFIX)
-
-
-def _read_exactly(file: IO[bytes], size: int) -> bytes:
-    """Up to `size` bytes; the kernel may give fewer at a time."""
-    data = file.read(size) or b""
-    while len(data) < size and (more := file.read(size - len(data))):
-        data += more
-    return data
-
-
-def _flush(path: Path) -> None:
-    """Flush a file or folder to the disk: after a power cut, what was renamed is there, contents and all."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _make_folder(folder: Path) -> None:
-    """Make a folder and its parents, and flush every new entry."""
-    if folder.is_dir():
-        return
-    _make_folder(folder.parent)
-    folder.mkdir(exist_ok=True)
-    _flush(folder.parent)
