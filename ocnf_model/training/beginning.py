@@ -26,6 +26,7 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     for module in network.modules():
         if isinstance(module, FusionBlend):
             module.begin_at(settings.blend_from)
+            module.gate.requires_grad_(settings.blend_learns)
     if settings.start is None:
         return network, 0
     folder = run_folder(settings.start)

@@ -139,6 +139,9 @@ class TrainSettings(Strict):
     blend_from: Annotated[Real, Field(gt=0, lt=1)] = 0.05
     """Share of plain fusion that a new blend begins with: little for few views, which leave much unseen, most
     for the many frames of a scan."""
+    blend_learns: bool = True
+    """Whether training changes the share. If not, it stays what it begins with, by `blend_from` or in the run
+    to start from, and the network learns to be right together with that much of plain fusion."""
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
     """Channels of the inputs behind the encoding's; only completion has some."""
     stages: Annotated[tuple[Stage, ...], NotEmpty] = (

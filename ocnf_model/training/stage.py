@@ -80,7 +80,7 @@ class Trainer:
         self._job, self._state, self._report = job, state, report
         self._stage = job.settings.stage(state.level)
         self._level = job.network.levels[state.level]
-        self._parameters = list(self._level.parameters())
+        self._parameters = [parameter for parameter in self._level.parameters() if parameter.requires_grad]
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)

@@ -242,6 +242,8 @@ def _check_tensors(tensors: Mapping[str, Tensor], level: nn.Module, averaged: bo
                 for prefix in ((_WEIGHTS, _AVERAGE) if averaged else (_WEIGHTS,))}
     if any(name.startswith(_ADAM) for name in tensors):  # none before the first step
         for name, parameter in level.named_parameters():
+            if not parameter.requires_grad:
+                continue
             expected |= {f"{_ADAM}{moment}.{name}": TensorKind.of(parameter) for moment in _MOMENTS}
             expected[f"{_ADAM}step.{name}"] = TensorKind("F32", ())
     expected[_RANDOM + "cpu"] = TensorKind.of(torch.get_rng_state())

@@ -51,6 +51,27 @@ def test_a_blend_may_be_added_to_a_network_without(tiny, small, tmp_path) -> Non
         train(tiny, tmp_path / "back", small(start=str(tmp_path / "blended")), device="cpu")
 
 
+def test_a_share_that_does_not_learn_stays_and_the_rest_goes_on(tiny, small, tmp_path) -> None:
+    stage = {"epochs": 2, "batch_size": 1, "accumulate": 1, "learning_rate": 1e-2}
+    fields = {"levels": 1, "blend": True, "blend_from": 0.7, "average": 0.5}
+    free = train(tiny, tmp_path / "free", small(**fields, stages=[stage]), device="cpu")
+    fixed = {**fields, "blend_learns": False}
+    whole = train(tiny, tmp_path / "whole", small(**fixed, stages=[stage]), device="cpu")
+    first = {**stage, "epochs": 1}
+    train(tiny, tmp_path / "parts", small(**fixed, stages=[first]), device="cpu")
+    parts = train(tiny, tmp_path / "parts", small(**fixed, stages=[stage]), device="cpu")
+    gate, learned = whole.levels[0].blend.gate, free.levels[0].blend.gate
+    assert torch.equal(gate.weight, torch.zeros_like(gate.weight))
+    assert torch.sigmoid(16 * gate.bias).item() == pytest.approx(0.7)
+    assert learned.weight.abs().max() > 1e-4
+    assert not torch.equal(whole.levels[0].head.weight, free.levels[0].head.weight)
+    assert same(parts, whole)
+    onwards = small(levels=1, blend=True, blend_from=0.2, blend_learns=False, start=str(tmp_path / "free"))
+    kept = train(tiny, tmp_path / "kept", onwards, device="cpu").levels[0]
+    assert torch.equal(kept.blend.gate.weight, load_run(tmp_path / "free").levels[0].blend.gate.weight)
+    assert not torch.equal(kept.head.weight, load_run(tmp_path / "free").levels[0].head.weight)
+
+
 def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:
     plain = train(tiny, tmp_path / "plain", small(), device="cpu")
     settings = small(context=16, stages=[STILL], start=str(tmp_path / "plain"))
