@@ -57,6 +57,12 @@ class Pair:
         return cls(structure, prediction.refined(structure).features.to(dtype),
                    target.refined(structure).features.to(dtype))
 
+    def weighed(self, costs: Tensor, weights: OctreeBatch | None) -> Tensor:
+        """(L, C) values of cells times the weights there; weights nowhere finer than the cells, None: 1."""
+        if weights is None:
+            return costs
+        return costs * weights.refined(self.structure).features.to(costs.dtype)  # (L, C) * (L, 1)
+
     def sum_over_voxels(self, costs: Tensor) -> Tensor:
         """(L, C) values of cells to their sums over the voxels of each grid, (B, C)."""
         weighted = costs * self.structure.volumes(costs.device).to(costs.dtype)  # (L, C) * (L, 1)
@@ -94,16 +100,10 @@ def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
 
 def _costs(pair: Pair, wrong_sign: float, weights: OctreeBatch | None) -> Tensor:
     """(L, C) absolute differences, weighed; occupied is TSDF < 0 (SEMANTICS 2)."""
-    costs = _weighed(pair, (pair.prediction - pair.target).abs(), weights)
+    costs = pair.weighed((pair.prediction - pair.target).abs(), weights)
     if wrong_sign == 1:
         return costs
     return torch.where((pair.prediction < 0) == (pair.target < 0), costs, wrong_sign * costs)
-
-
-def _weighed(pair: Pair, costs: Tensor, weights: OctreeBatch | None) -> Tensor:
-    if weights is None:
-        return costs
-    return costs * weights.refined(pair.structure).features.to(costs.dtype)  # (L, C) * (L, 1)
 
 
 def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN,
@@ -116,7 +116,7 @@ def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduc
     pair = Pair.of(logits, occupancy)
     known = pair.target >= 0
     costs = binary_cross_entropy_with_logits(pair.prediction, pair.target.clamp(min=0), reduction="none")
-    costs = _weighed(pair, costs, weights)
+    costs = pair.weighed(costs, weights)
     return _reduce(pair, costs * known, reduction, pair.sum_over_voxels(known.double()))
 
 

@@ -44,4 +44,5 @@ def checked_name(name: str) -> str:
 
 
 def is_temporary(name: str) -> bool:
+    """Whether a file of that name is one that is not finished, or that a killed writer has left."""
     return PurePosixPath(name).name.startswith(TEMPORARY_PREFIX)

@@ -6,14 +6,12 @@ they are all votes for the same surface, a little moved, and their mean is nearl
 
 from __future__ import annotations
 
-import hashlib
-import json
-
 import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views
+from ocnf_data.views.chance import keyed_random
 
 
 def misalign(views: Views, sigma: float, seed: int, key: str) -> Views:
@@ -63,7 +61,6 @@ def rotation_of(vector: F64) -> F64:
 
 def _normal(seed: int, key: str, view: int) -> F64:
     """(6,) standard normal numbers by Box and Muller, of raw doubles, which no version of numpy changes."""
-    digest = hashlib.sha256(json.dumps(["misaligned", int(seed), key, view]).encode()).digest()
-    uniform = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little"))).random((2, 3))
+    uniform = keyed_random("misaligned", int(seed), key, view).random((2, 3))
     radius, angle = np.sqrt(-2 * np.log1p(-uniform[0])), 2 * np.pi * uniform[1]
     return np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])

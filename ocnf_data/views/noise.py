@@ -7,14 +7,13 @@ their noise, and an input with more views or another sigma differs from this one
 
 from __future__ import annotations
 
-import hashlib
-import json
 from enum import StrEnum
 
 import numpy as np
 
 from ocnf_data.arrays import F32
 from ocnf_data.errors import OcnfError
+from ocnf_data.views.chance import keyed_random
 
 
 class NoiseModel(StrEnum):
@@ -38,10 +37,7 @@ def view_noise(seed: int, key: str, view: int, size: tuple[int, int]) -> F32:
     Returns:
         (H, W) float32.
     """
-    name = json.dumps([int(seed), key, int(view)])
-    digest = hashlib.sha256(name.encode()).digest()
-    philox = np.random.Philox(key=int.from_bytes(digest[:16], "little"))
-    return np.random.Generator(philox).standard_normal(size, dtype=np.float32)
+    return keyed_random(int(seed), key, int(view)).standard_normal(size, dtype=np.float32)
 
 
 def add_noise(depth: F32, sigma: float, noise: F32) -> F32:

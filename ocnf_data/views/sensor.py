@@ -24,8 +24,6 @@ white noise averaged over such a window and scaled back: this package's addition
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from typing import NamedTuple
 
@@ -34,6 +32,7 @@ from numba import njit
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.errors import OcnfError
+from ocnf_data.views.chance import keyed_random
 
 _FOCAL = 585.0  # pixels, of the camera that the papers' pixels belong to
 _STEPS = 351.3  # metres: 1 / (m / (f b)) of Khoshelham and Elberink; 8 steps a pixel, 585 pixels, 7.5 cm
@@ -71,8 +70,7 @@ def sensor_draws(seed: int, key: str, view: int, size: tuple[int, int]) -> Senso
         view: the view's index in the rig, not in the subset.
         size: (H, W) in pixels.
     """
-    digest = hashlib.sha256(json.dumps(["kinect", int(seed), key, int(view)]).encode()).digest()
-    random = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little")))
+    random = keyed_random("kinect", int(seed), key, int(view))
     return SensorDraws(random.standard_normal((_FIELDS, *size), dtype=np.float32),
                        random.random((2, *size), dtype=np.float32))
 

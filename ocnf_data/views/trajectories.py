@@ -11,8 +11,6 @@ near to something is widened (around) or drawn together about its clearest point
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,6 +19,7 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
+from ocnf_data.views.chance import keyed_random
 
 Clearance = Callable[[F64], F64]
 
@@ -158,8 +157,7 @@ class _Waves:
     """Chance that is a pure function of (seed, key, kind)."""
 
     def __init__(self, seed: int, key: str, kind: str) -> None:
-        digest = hashlib.sha256(json.dumps(["path", kind, int(seed), key]).encode()).digest()
-        self._random = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little"))).random
+        self._random = keyed_random("path", kind, int(seed), key).random
 
     def number(self) -> float:
         """A random number in [0, 1)."""

@@ -123,7 +123,6 @@ class _Convolution(torch.autograd.Function):
         # (C_in, 27 C_out): h_k comes from the offset opposite to k.
         matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
         grad_features = torch.empty_like(features) if wants_features else None
-        near = near_rows(neighbours, scaled)
 
         def convolve_back(chunks: Sequence[Chunk]) -> Tensor:
             # A sum over many chunks is kept in float32 at least.
@@ -139,6 +138,7 @@ class _Convolution(torch.autograd.Function):
 
         grad_weight = None
         if wants_features or wants_weight:
+            near = near_rows(neighbours, scaled)
             parts = map_chunks(convolve_back, plan(neighbours, grad.shape[1]), grad.device)
             if wants_weight:
                 grad_matrix = torch.stack(parts).sum(0).view(weight.shape[1], 3, 3, 3, len(weight))

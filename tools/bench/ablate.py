@@ -56,9 +56,7 @@ def log_l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = "
     """L1 of sign(t) log(1 + |t|), t in voxels of the truncation, as SG-NN (Dai et al. 2020) has it."""
     pair = Pair.of(prediction, target)
     scaled = [torch.sign(t) * torch.log1p(3 * t.abs()) for t in (pair.prediction, pair.target)]
-    costs = (scaled[0] - scaled[1]).abs()
-    if weights is not None:
-        costs = costs * weights.refined(pair.structure).features
+    costs = pair.weighed((scaled[0] - scaled[1]).abs(), weights)
     sums = pair.sum_over_voxels(costs)  # (B, 1)
     return sums.mean(1) / math.prod(pair.structure.shape)
 
