@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.table import Table
 from torch import nn
 
-from ocnf_model.checkpoint import Header, TrainedRun, open_run, run_folder, trained_levels
+from ocnf_model.checkpoint import TrainedRun, open_run, run_folder, trained_levels
+from ocnf_model.header import Header
 from ocnf_model.network import OctNetFusion
 from ocnf_model.ops import OctreeConv3d
 

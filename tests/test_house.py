@@ -80,7 +80,7 @@ ARROWS = {
     "ocnf_model.baselines":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_model.metrics",
     "ocnf_model.checkpoint":
-        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.devices ocnf_model.network "
+        "ocnf_data.errors ocnf_data.files ocnf_model.devices ocnf_model.header ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
         "ocnf_data.errors ocnf_data.terminal ocnf_model.completion ocnf_model.devices "
@@ -97,7 +97,12 @@ ARROWS = {
         "ocnf_data.report ocnf_data.shards ocnf_data.terminal ocnf_model.baselines "
         "ocnf_model.checkpoint ocnf_model.devices ocnf_model.measures ocnf_model.metrics "
         "ocnf_model.network ocnf_model.octree ocnf_model.ops",
-    "ocnf_model.info": "ocnf_model.checkpoint ocnf_model.network ocnf_model.ops ocnf_model.training",
+    "ocnf_model.header":
+        "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
+        "ocnf_model.tensorfile",
+    "ocnf_model.info":
+        "ocnf_model.checkpoint ocnf_model.header ocnf_model.network ocnf_model.ops "
+        "ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
     "ocnf_model.measures":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.octree ocnf_data.views ocnf_model.losses "
@@ -111,8 +116,8 @@ ARROWS = {
     "ocnf_model.scan":
         "ocnf_data.arrays ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.meshes "
         "ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.views ocnf_model.baselines "
-        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.network "
-        "ocnf_model.octree",
+        "ocnf_model.checkpoint ocnf_model.devices ocnf_model.evaluation ocnf_model.header "
+        "ocnf_model.network ocnf_model.octree",
     "ocnf_model.tables":
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion ocnf_data.generation "
         "ocnf_data.manifest ocnf_data.octree ocnf_data.shards ocnf_data.terminal ocnf_data.verify "
@@ -122,9 +127,9 @@ ARROWS = {
     "ocnf_model.training":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
         "ocnf_data.loading ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.shards "
-        "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.losses "
-        "ocnf_model.measures ocnf_model.metrics ocnf_model.network ocnf_model.octree ocnf_model.ops "
-        "ocnf_model.tensorfile",
+        "ocnf_data.synthesis ocnf_model.checkpoint ocnf_model.devices ocnf_model.header "
+        "ocnf_model.losses ocnf_model.measures ocnf_model.metrics ocnf_model.network "
+        "ocnf_model.octree ocnf_model.ops ocnf_model.tensorfile",
 }
 
 # From the ground up: a room imports its own floor and those below it. Rooms not named are on `THE_REST`.

@@ -179,7 +179,7 @@ class Checkpoints:
     def __init__(self) -> None:
         import torch
 
-        from ocnf_model.checkpoint import Architecture, Header, TrainingData
+        from ocnf_model.header import Architecture, Header, TrainingData
         from ocnf_model.network import Carry, Join, Output
         from ocnf_model.training.train_state import TrainState, save_state
 

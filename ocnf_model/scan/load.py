@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Scan
-from ocnf_model.checkpoint import PRETRAINED, Header, TrainedRun, open_run
+from ocnf_model.checkpoint import PRETRAINED, TrainedRun, open_run
 from ocnf_model.devices import pick_device
+from ocnf_model.header import Header
 from ocnf_model.network import OctNetFusion
 from ocnf_model.scan.frames import limit_depth
 from ocnf_model.scan.fuse import fuse_scan

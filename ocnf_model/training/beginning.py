@@ -6,7 +6,8 @@ from pathlib import Path
 
 import torch
 
-from ocnf_model.checkpoint import Architecture, level_architecture, load_level, run_folder, trained_levels
+from ocnf_model.checkpoint import level_architecture, load_level, run_folder, trained_levels
+from ocnf_model.header import Architecture
 from ocnf_model.network import Level, Normaliser, OctNetFusion, fold_normalisation
 from ocnf_model.ops import FusionBlend
 from ocnf_model.training.settings import TrainSettings

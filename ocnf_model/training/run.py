@@ -25,11 +25,9 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import validate
-from ocnf_model.checkpoint import (
-    TrainingData,
-    load_level,
-)
+from ocnf_model.checkpoint import load_level
 from ocnf_model.devices import memory_errors
+from ocnf_model.header import TrainingData
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.beginning import first_network
 from ocnf_model.training.curves import Reporter, write_curves

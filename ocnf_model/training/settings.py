@@ -21,8 +21,8 @@ from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, refused, validate
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
-from ocnf_model.checkpoint import MAX_CHANNELS, Channels
 from ocnf_model.devices import Precision
+from ocnf_model.header import MAX_CHANNELS, Channels
 from ocnf_model.network import Carry, Join, Normaliser, Output
 from ocnf_model.training.choice import BestBy
 

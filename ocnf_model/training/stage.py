@@ -20,15 +20,9 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.octree.bits import TREE_WIDTH
-from ocnf_model.checkpoint import (
-    Architecture,
-    Header,
-    TrainingData,
-    checkpoint_sha256,
-    save_checkpoint,
-    torch_version,
-)
+from ocnf_model.checkpoint import checkpoint_sha256, save_checkpoint, torch_version
 from ocnf_model.devices import autocast
+from ocnf_model.header import Architecture, Header, TrainingData
 from ocnf_model.network import LevelOutput, OctNetFusion, Output, freeze_statistics
 from ocnf_model.training.average import WeightAverage
 from ocnf_model.training.batches import AnyBatch, Example, make_example

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.validation import Int, Real, Strict, validate
-from ocnf_model.checkpoint import MAX_COUNT
+from ocnf_model.header import MAX_COUNT
 from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 from ocnf_model.training.average import WeightAverage
 

@@ -15,17 +15,8 @@ import safetensors.torch
 import torch
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.checkpoint import (
-    SHIPPED,
-    Architecture,
-    Header,
-    TrainingData,
-    checkpoint_sha256,
-    load_level,
-    load_run,
-    open_run,
-    save_checkpoint,
-)
+from ocnf_model.checkpoint import SHIPPED, checkpoint_sha256, load_level, load_run, open_run, save_checkpoint
+from ocnf_model.header import Architecture, Header, TrainingData
 from ocnf_model.network import OctNetFusion
 from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 

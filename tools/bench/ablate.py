@@ -33,7 +33,8 @@ from ocnf_data import ShardDataset
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_data.shards import load_dataset
-from ocnf_model.checkpoint import Architecture, load_run
+from ocnf_model.checkpoint import load_run
+from ocnf_model.header import Architecture
 from ocnf_model.losses import Pair
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch

@@ -6,17 +6,11 @@ import pytest
 import torch
 
 from ocnf_model import OctreeBatch, devices
-from ocnf_model.checkpoint import (
-    Architecture,
-    Header,
-    TrainingData,
-    checkpoint_sha256,
-    open_run,
-    save_checkpoint,
-)
+from ocnf_model.checkpoint import checkpoint_sha256, open_run, save_checkpoint
 from ocnf_model.devices import Precision
 from ocnf_model.evaluation import levels
 from ocnf_model.evaluation.levels import run_levels
+from ocnf_model.header import Architecture, Header, TrainingData
 from ocnf_model.network import OctNetFusion
 
 CPU = torch.device("cpu")

@@ -12,8 +12,9 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest
 from ocnf_model import OctNetFusion
-from ocnf_model.checkpoint import Architecture, Header, TrainingData, save_checkpoint
+from ocnf_model.checkpoint import save_checkpoint
 from ocnf_model.evaluation.run import run_evaluate
+from ocnf_model.header import Architecture, Header, TrainingData
 from ocnf_model.scan.run import Asked, run_fuse
 
 

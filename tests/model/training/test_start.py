@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from ocnf_data.errors import OcnfError
-from ocnf_model.checkpoint import checkpoint_path, load_run, parse_header, save_checkpoint
+from ocnf_model.checkpoint import checkpoint_path, load_run, save_checkpoint
+from ocnf_model.header import parse_header
 from ocnf_model.tensorfile import read_header
 from ocnf_model.training.run import train
 
