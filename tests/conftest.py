@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import json
 import re
 import shutil
 import signal
+import sys
 import uuid
 import zlib
 from collections.abc import Callable, Iterator
@@ -31,6 +33,21 @@ def pytest_configure() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The slow tests first: one of them at the end would keep all but one core waiting."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+@pytest.fixture(scope="session")
+def load_bench() -> Callable[[str], Any]:
+    """Imports a script of `tools/bench` by its name."""
+    folder = str(Path(__file__).parents[1] / "tools" / "bench")
+
+    def load(name: str) -> Any:
+        sys.path.insert(0, folder)  # scripts import one another
+        try:
+            return importlib.import_module(name)
+        finally:
+            sys.path.remove(folder)
+
+    return load
 
 
 @pytest.fixture(scope="session")

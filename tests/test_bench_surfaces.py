@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,12 @@ import pytest
 from ocnf_data.views.cameras import Views
 from ocnf_model.measures.surface import Surface
 
-BENCH = Path(__file__).parent.parent / "tools" / "bench"
 VOXEL = 0.02
 
 
 @pytest.fixture(scope="module")
-def bench() -> Any:
-    sys.path.insert(0, str(BENCH))
-    try:
-        import reconstructions
-        import scans
-    finally:
-        sys.path.remove(str(BENCH))
-    return reconstructions, scans
+def bench(load_bench: Callable[[str], Any]) -> Any:
+    return load_bench("reconstructions"), load_bench("scans")
 
 
 def sheet(n: int = 200) -> np.ndarray:

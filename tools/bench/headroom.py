@@ -32,7 +32,7 @@ from ocnf_model.measures.regions import Regions, mad_by_region, seen_by
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops.blend import plain_tsdf
-from ocnf_model.training.batches import Example, make_example
+from ocnf_model.training.batches import make_example
 
 MIRRORS = SYMMETRIES[:8]
 """Those that exchange no axes: the first one moves nothing, and each undoes itself."""
@@ -78,15 +78,14 @@ def figures(run: TrainedRun, data: Path, split: str, name: str) -> Iterator[list
         once = reconstruction(run.network, example.inputs)
         fused = encoded.with_features(plain_tsdf(encoded.features, Encoding.HISTOGRAM))
         yield [mad_by_region(volume, example.target, seen, tau)[0].numpy()
-               for volume in (once, fused, by_mirrors(run.network, example))]
+               for volume in (once, fused, by_mirrors(run.network, example.inputs))]
 
 
-def by_mirrors(network: OctNetFusion, example: Example) -> OctreeBatch:
+def by_mirrors(network: OctNetFusion, inputs: Sequence[OctreeBatch]) -> OctreeBatch:
     """The mean of what the network makes of the eight mirror images of a sample."""
-    total = np.zeros(example.target.shape, np.float32)
+    total = np.zeros(inputs[-1].shape, np.float32)
     for mirror in MIRRORS:
-        moved = [OctreeBatch.from_grids([mirror(grid) for grid in encoded.to_grids()])
-                 for encoded in example.inputs]
+        moved = [OctreeBatch.from_grids([mirror(grid) for grid in encoded.to_grids()]) for encoded in inputs]
         (found,) = reconstruction(network, moved).to_grids()
         total += mirror(found).to_dense()[0]
     return OctreeBatch.from_grids([GridOctree.from_dense(total[None] / np.float32(len(MIRRORS)))])
