@@ -1,4 +1,4 @@
-"""Procedural shapes: furniture, vessels, vehicles and frames without end, as messy as downloaded meshes.
+"""Procedural shapes: furniture, vessels, vehicles, frames, solids without end, as messy as downloaded meshes.
 
 Everything stands on z = 0 with z up and faces the viewer at negative y, in metres of about its real size.
 As in real collections there are thin bars and sheets without thickness, concave and hollow parts, solids
@@ -30,16 +30,18 @@ from ocnf_data.shapes.rings import knot, pipe, ring, wheel
 from ocnf_data.shapes.rods import fence, ladder, pole, rack, stool
 from ocnf_data.shapes.seating import chair, sofa
 from ocnf_data.shapes.shelves import shelf
+from ocnf_data.shapes.solids import ball, block, boulder
 from ocnf_data.shapes.tables import desk, table
 from ocnf_data.shapes.tableware import bowl, cup, glass, pitcher, vase
 from ocnf_data.shapes.vessels import bottle, mug
 
 _BUILDERS: dict[str, Callable[[Draw], list[Part]]] = {
-    "airplane": airplane, "basket": basket, "bathtub": bathtub, "bed": bed, "bottle": bottle, "bowl": bowl,
-    "box": open_box, "bucket": bucket, "car": car, "chair": chair, "cup": cup, "desk": desk, "fence": fence,
-    "glass": glass, "guitar": guitar, "knot": knot, "ladder": ladder, "lamp": lamp, "monitor": monitor,
-    "mug": mug, "pipe": pipe, "pitcher": pitcher, "plant": plant, "pole": pole, "pot": pot, "rack": rack,
-    "ring": ring, "shelf": shelf, "sofa": sofa, "stool": stool, "table": table, "vase": vase, "wheel": wheel,
+    "airplane": airplane, "ball": ball, "basket": basket, "bathtub": bathtub, "bed": bed, "block": block,
+    "bottle": bottle, "boulder": boulder, "bowl": bowl, "box": open_box, "bucket": bucket, "car": car,
+    "chair": chair, "cup": cup, "desk": desk, "fence": fence, "glass": glass, "guitar": guitar,
+    "knot": knot, "ladder": ladder, "lamp": lamp, "monitor": monitor, "mug": mug, "pipe": pipe,
+    "pitcher": pitcher, "plant": plant, "pole": pole, "pot": pot, "rack": rack, "ring": ring,
+    "shelf": shelf, "sofa": sofa, "stool": stool, "table": table, "vase": vase, "wheel": wheel,
 }  # fmt: skip
 CATEGORIES: tuple[str, ...] = tuple(_BUILDERS)
 

@@ -29,13 +29,15 @@ from ocnf_data.shapes.primitives import (
     tube,
 )
 from ocnf_data.shapes.rings import _band, _pipe
+from ocnf_data.shapes.solids import ball, block, boulder
 from ocnf_data.views import rigs
 
 COUNT = 25
 OPEN = ("basket", "bathtub", "bowl", "box", "bucket", "cup", "glass", "mug", "pitcher", "pot", "vase")
 GOLDEN = {
-    "airplane": "bd1843b0a332", "basket": "542c22bfb752", "bathtub": "320566f0fcbc",
-    "bed": "de217a035a7b", "bottle": "48d11c72d06d", "bowl": "2dc8e8727832",
+    "airplane": "bd1843b0a332", "ball": "1a6162fc500b", "basket": "542c22bfb752", "bathtub": "320566f0fcbc",
+    "bed": "de217a035a7b", "block": "96ce48bc5bac",
+    "bottle": "48d11c72d06d", "boulder": "16d8a257e695", "bowl": "2dc8e8727832",
     "box": "8206511c7100", "bucket": "bb5685219e37", "car": "333c7c33b1c4",
     "chair": "a43a844a5c03", "cup": "675dcd25a593", "desk": "c9415305f71e",
     "fence": "8f4fd4692ff5", "glass": "7ce68af354ff", "guitar": "fa882a6a7334",
@@ -179,6 +181,16 @@ def test_pipes_and_bands_enclose_their_walls():
     assert is_watertight(pipe.faces) and is_watertight(band.faces)
     assert abs(_volume(pipe)) == pytest.approx(np.pi * (1 - 0.64) * 3, rel=1e-3)
     assert _volume(band) == pytest.approx(np.pi * (1 - 0.49) * 0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("build", [ball, block, boulder])
+def test_solids_are_closed_and_fill_their_box(build):
+    for i in range(COUNT):
+        parts = build(Draw("solids", i))
+        assert all(is_watertight(part.faces) for part in parts), i
+        inside = max(_volume(part) for part in parts)
+        corners = np.concatenate([part.vertices for part in parts])
+        assert inside > 0.15 * np.ptp(corners, axis=0).prod(), i
 
 
 @pytest.mark.parametrize("category", OPEN)
