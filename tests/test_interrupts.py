@@ -163,6 +163,23 @@ def test_training_with_a_loader_in_another_process(number, data, tmp_path) -> No
     assert not any(word in text for word in ("Traceback", "semaphore", "Error", "arning")), text
 
 
+def test_what_loky_finds_left_behind_is_removed_in_silence() -> None:
+    """A semaphore that the tracker believes to be there when all processes have ended, but is not."""
+    code = """
+import os
+from joblib import Parallel, delayed
+from joblib.externals.loky.backend import resource_tracker
+from ocnf_data.files.interrupts import joblib_results
+parallel = Parallel(2, return_as="generator_unordered")
+with joblib_results(lambda: parallel(delayed(abs)(i) for i in (-1, 2))) as found:
+    print(sorted(found), "PYTHONWARNINGS" in os.environ)
+resource_tracker.register("/gone", "semlock")
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "[1, 2] False\n"
+    assert not run.stderr
+
+
 def test_threads_that_are_startled_by_the_end_say_nothing() -> None:
     """As those of loky's are that watch workers while these are stopped."""
     code = """

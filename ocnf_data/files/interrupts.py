@@ -120,7 +120,7 @@ def joblib_results(start: Callable[[], Generator[Value, None, None]]) -> Iterato
     """
     results = None
     try:
-        with starting_processes():
+        with starting_processes(), _quiet_tracker():
             results = start()
         yield results
     finally:
@@ -128,6 +128,24 @@ def joblib_results(start: Callable[[], Generator[Value, None, None]]) -> Iterato
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message=".*have been cancelled")
                 results.close()
+
+
+@contextmanager
+def _quiet_tracker() -> Iterator[None]:
+    """Let the process that counts loky's semaphores, started inside, say nothing of what it finds at the end.
+
+    It removes what a process that was stopped has left behind; whoever stopped it need not hear of that, and
+    less of a semaphore that was removed just before its owner could say so.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker:UserWarning"]))
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def ignore_interrupts() -> None:
