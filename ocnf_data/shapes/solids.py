@@ -69,34 +69,35 @@ def block(draw: Draw) -> list[Part]:
         parts.append(
             box(w * 0.4, d * 0.4, h * draw.between(0.1, 0.5)).move(w * draw.between(-0.2, 0.2), 0, h)
         )
-    if draw.chance(0.3):  # it stands on an edge, or leans
-        parts = [part.turn(draw.pick("x", "y"), draw.between(10, 45)) for part in parts[:1]]
+    if draw.chance(0.3):  # one of them by itself, on an edge or leaning
+        parts = [parts[0].turn(draw.pick("x", "y"), draw.between(10, 45))]
     return parts
 
 
 def boulder(draw: Draw) -> list[Part]:
     """Rocks, loaves, dumplings and heaps of them: round, bumpy, solid."""
-
-    def rock(size: float) -> Part:
-        n, m = draw.pick(14, 20, 26), draw.pick(16, 24, 32)
-        u = np.pi * (np.arange(1, n) / n)[:, None]
-        t = (2 * np.pi * np.arange(m) / m)[None]
-        axis = np.stack(np.broadcast_arrays(np.sin(u) * np.cos(t), np.sin(u) * np.sin(t), -np.cos(u)), -1)
-        radius = np.ones(axis.shape[:2])
-        for _ in range(draw.count(2, 7)):
-            wave = np.array([draw.between(-1, 1) for _ in range(3)]) * draw.between(1.5, 6)
-            radius = radius + draw.between(0.02, 0.12) * np.sin(axis @ wave + draw.between(0, 6.3))
-        rings = axis * radius[..., None] * [size, size * draw.between(0.7, 1), size * draw.between(0.6, 1)]
-        low, high = rings[0].mean(axis=0), rings[-1].mean(axis=0)
-        return loft(rings, low, high)
-
     size = draw.between(0.1, 0.5)
-    parts = [rock(size)]
+    parts = [_rock(draw, size)]
     for _ in range(draw.pick(0, 0, 1, 2, 4)):
         angle, far = draw.between(0, 6.3), size * draw.between(0.4, 0.9)
-        other = rock(size * draw.between(0.3, 0.8))
+        other = _rock(draw, size * draw.between(0.3, 0.8))
         parts.append(other.move(far * np.cos(angle), far * np.sin(angle), size * draw.between(-0.5, 0.5)))
     if draw.chance(0.3):
         parts.append(ellipsoid(size * 0.9, size * 0.7, size * 0.5, draw.pick(12, 20)).move(z=size * 0.4))
     low = min(float(part.vertices[:, 2].min()) for part in parts)
     return [part.move(z=-low) for part in parts]
+
+
+def _rock(draw: Draw, size: float) -> Part:
+    """A ball of that radius with waves on it, a little flattened, about the origin."""
+    n, m = draw.pick(14, 20, 26), draw.pick(16, 24, 32)
+    u = np.pi * (np.arange(1, n) / n)[:, None]
+    t = (2 * np.pi * np.arange(m) / m)[None]
+    axis = np.stack(np.broadcast_arrays(np.sin(u) * np.cos(t), np.sin(u) * np.sin(t), -np.cos(u)), -1)
+    radius = np.ones(axis.shape[:2])
+    for _ in range(draw.count(2, 7)):
+        wave = np.array([draw.between(-1, 1) for _ in range(3)]) * draw.between(1.5, 6)
+        radius = radius + draw.between(0.02, 0.12) * np.sin(axis @ wave + draw.between(0, 6.3))
+    rings = axis * radius[..., None] * [size, size * draw.between(0.7, 1), size * draw.between(0.6, 1)]
+    low, high = rings[0].mean(axis=0), rings[-1].mean(axis=0)
+    return loft(rings, low, high)
