@@ -30,10 +30,11 @@ MARGIN = 2
 """Trees, 16 voxels, along a face within the grid that have no loss."""
 
 
-def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Sequence[str]) -> I64:
-    """Corners (B, 3), in trees along (z, y, x), of boxes around a tree of each ground truth that is divided.
+def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Sequence[str],
+                 boxes: int = 1) -> I64:
+    """Corners (N, B, 3), in trees along (z, y, x), of boxes around divided trees of each ground truth.
 
-    A pure function of (seed, epoch, key) and the ground truth.
+    A pure function of (seed, epoch, key, number of the box) and the ground truth.
 
     Args:
         truth: where the surface is.
@@ -41,6 +42,7 @@ def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Seque
         seed: seed of the run.
         epoch: number of the epoch, from 0.
         keys: (B,) keys of the samples.
+        boxes: N, how many of each sample; more do not change the first.
 
     Raises:
         OcnfError: the box is larger than the grid.
@@ -49,28 +51,29 @@ def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Seque
     if (grid < size).any():
         raise OcnfError("the crop is larger than the grid", where="train", field="crop",
                         found=size * TREE_WIDTH, expected=f"at most {TREE_WIDTH * grid.min()}")
-    corners = np.empty((len(keys), 3), np.int64)
+    corners = np.empty((boxes, len(keys), 3), np.int64)
     for b, key in enumerate(keys):
-        digest = hashlib.sha256(f"ocnf crop {seed} {epoch} {key}".encode()).digest()
         divided = np.flatnonzero(truth.trees[b, ..., 0].reshape(-1) & np.uint64(1))
         if not len(divided):
             divided = np.arange(grid.prod())
-        tree = divided[int.from_bytes(digest[:8], "little") % len(divided)]
-        centre = np.array(np.unravel_index(tree, truth.grid))
-        nearest = ALIGNMENT * np.round((centre - (size - 1) / 2) / ALIGNMENT).astype(np.int64)
-        corners[b] = np.clip(nearest, 0, grid - size)
+        for n in range(boxes):
+            name = f"ocnf crop {seed} {epoch} {key}" + (f" {n}" if n else "")
+            number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+            centre = np.array(np.unravel_index(divided[number % len(divided)], truth.grid))
+            nearest = ALIGNMENT * np.round((centre - (size - 1) / 2) / ALIGNMENT).astype(np.int64)
+            corners[n, b] = np.clip(nearest, 0, grid - size)
     return corners
 
 
 def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I64, size: int,
                 loss: Callable[..., Tensor], weights: OctreeBatch | None = None) -> Tensor:
-    """The loss of each sample, (B,), over the inner voxels of its box.
+    """The loss of each sample, (B,): the mean over its boxes, of each over its inner voxels.
 
     Args:
         network: the levels before `level` run without gradients.
         example: inputs and ground truth on whole grids.
         level: number of the level, from 0.
-        corners: (B, 3) in trees.
+        corners: (N, B, 3) in trees.
         size: trees along each axis.
         loss: a function of (prediction, target, weights=) that gives a mean over voxels.
         weights: of the voxels of whole grids, for the loss.
@@ -78,15 +81,24 @@ def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I6
     with torch.no_grad():
         before = network.run(example.inputs[:level])[-1] if level else None
         x = network.level_input(before, example.inputs[level])
-        box = crop(x, corners, (size,) * 3)
-    raw, target = network.levels[level](box).raw, crop(example.target, corners, (size,) * 3)
-    grid = np.array(x.structure.grid)
-    losses = []
-    for b, corner in enumerate(corners):
-        low = np.where(corner == 0, 0, MARGIN)
-        high = np.where(corner + size == grid, size, size - MARGIN)
-        depth, height, width = (int(n) for n in high - low)
-        inner, shape = low[None], (depth, height, width)
-        weighed = None if weights is None else crop(weights, (corner + low)[None], shape, [b])
-        losses.append(loss(crop(raw, inner, shape, [b]), crop(target, inner, shape, [b]), weights=weighed))
-    return torch.stack(losses)
+    grid, losses = np.array(x.structure.grid), []
+    for of_samples in corners:
+        with torch.no_grad():
+            box = crop(x, of_samples, (size,) * 3)
+        raw, target = network.levels[level](box).raw, crop(example.target, of_samples, (size,) * 3)
+        losses.append(torch.stack([
+            _inner_loss(raw, target, b, corner, grid, size, loss, weights)
+            for b, corner in enumerate(of_samples)]))
+    return torch.stack(losses).mean(0)  # (N, B) -> (B,)
+
+
+def _inner_loss(raw: OctreeBatch, target: OctreeBatch, b: int, corner: I64, grid: I64, size: int,
+                loss: Callable[..., Tensor], weights: OctreeBatch | None) -> Tensor:
+    """The loss of box `b` without what lies along a face within the grid."""
+    low = np.where(corner == 0, 0, MARGIN)
+    high = np.where(corner + size == grid, size, size - MARGIN)
+    depth, height, width = (int(n) for n in high - low)
+    inner, shape = low[None], (depth, height, width)
+    weighed = None if weights is None else crop(weights, (corner + low)[None], shape, [b])
+    result: Tensor = loss(crop(raw, inner, shape, [b]), crop(target, inner, shape, [b]), weights=weighed)
+    return result

@@ -63,6 +63,9 @@ class Stage(Strict):
     crop: Annotated[Int, Field(ge=64, multiple_of=32)] | None = None
     """Voxels along each axis of the box around the surface that a sample is trained on, in multiples of 32;
     None for the whole grid (the paper). Validation takes the whole grid."""
+    crops: Positive = 1
+    """Boxes of each sample. What is made on the whole grid serves all of them: the sample itself, the tables
+    of its structures, and what the levels before carry up."""
 
     freeze_after: Annotated[Int, Field(ge=0)] | None = None
     """Epochs after which batch normalisation keeps its statistics, so that a level is trained as it is used;
@@ -186,6 +189,14 @@ class TrainSettings(Strict):
         if self.context and self.stage(0).crop is not None:
             raise refused("the first level's context needs the whole grid", at="stages[0].crop",
                           found=self.stage(0).crop, expected="null, or context: 0")
+        return self
+
+    @model_validator(mode="after")
+    def _boxes_have_a_size(self) -> TrainSettings:
+        for level, stage in enumerate(self.stages):
+            if stage.crops > 1 and stage.crop is None:
+                raise refused("the whole grid is one box", at=f"stages[{level}].crops", found=stage.crops,
+                              expected="1, or the side of a box as crop")
         return self
 
     @model_validator(mode="after")

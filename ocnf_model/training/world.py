@@ -1,11 +1,14 @@
 """The processes that train together: one, or those that `torchrun` started.
 
     rank        this process among all of them
-    local rank  this process among those of its machine: the number of its GPU
+    local rank  this process among those of its machine: the number of its GPU, counted round
     world size  how many there are
 
 Every rank has the same weights. A step averages the gradients over the ranks, so two ranks with batches of b
 do what one does with batches of 2 b: the loader deals the samples of such a batch out to them.
+
+Several ranks may share a GPU: the tables of a sample's structures are made by the CPU, and one process leaves
+a large GPU idle meanwhile. Their gradients then go by way of the host, as NCCL wants a GPU for each rank.
 """
 
 from __future__ import annotations
@@ -81,12 +84,18 @@ def join_world(device: str) -> Iterator[World]:
         yield World(pick_device(device), rank, size)
         return
     if device in ("auto", "cuda") and torch.cuda.is_available():
-        device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
+        device = f"cuda:{int(os.environ.get('LOCAL_RANK', '0')) % torch.cuda.device_count()}"
     chosen = pick_device(device)
     if chosen.type == "cuda":
         torch.cuda.set_device(chosen)
-    dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+    dist.init_process_group(_backend(chosen))
     try:
         yield World(chosen, dist.get_rank(), dist.get_world_size())
     finally:
         dist.destroy_process_group()
+
+
+def _backend(device: torch.device) -> str:
+    """What the ranks talk by: NCCL where each has a GPU of its own."""
+    n_here = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    return "nccl" if device.type == "cuda" and n_here <= torch.cuda.device_count() else "gloo"

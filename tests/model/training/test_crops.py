@@ -48,7 +48,7 @@ def test_a_box_that_is_the_grid_has_the_grids_loss(make_batch) -> None:
     network = OctNetFusion(**SMALL, levels=2).double()
     inputs = [sparse_batch(make_batch, 4 << level, 2, level) for level in range(2)]
     target = sparse_batch(make_batch, 8, 2, 9)
-    losses = crop_losses(network, Example(inputs, target), 1, np.zeros((2, 3), np.int64), 8, l1_loss)
+    losses = crop_losses(network, Example(inputs, target), 1, np.zeros((1, 2, 3), np.int64), 8, l1_loss)
     expected = l1_loss(network.run(inputs)[-1].raw, target, "none")
     torch.testing.assert_close(losses, expected)
     losses.sum().backward()
@@ -61,11 +61,23 @@ def test_the_outer_voxels_of_a_box_have_no_loss_but_at_the_grids_faces(make_batc
     network = OctNetFusion(**SMALL, levels=1).double()
     x, target = (make_batch(seed, (8, 8, 16), 1, 1, 0.3, torch.float64) for seed in (0, 1))
     corner = np.array([[0, 0, 8]])
-    (found,) = crop_losses(network, Example([x], target), 0, corner, 8, l1_loss)
+    (found,) = crop_losses(network, Example([x], target), 0, corner[None], 8, l1_loss)
     box = network.levels[0](crop(x, corner, (8, 8, 8))).raw
     low = np.array([[0, 0, MARGIN]])
     expected = l1_loss(crop(box, low, (8, 8, 8 - MARGIN)), crop(target, corner + low, (8, 8, 8 - MARGIN)))
     torch.testing.assert_close(found, expected)
+
+
+def test_several_boxes_count_alike(make_batch) -> None:
+    torch.manual_seed(2)
+    network = OctNetFusion(**SMALL, levels=1).double()
+    x, target = (make_batch(seed, (8, 8, 16), 2, 1, 0.3, torch.float64) for seed in (0, 1))
+    corners = np.array([[[0, 0, 8], [0, 0, 0]], [[0, 0, 4], [0, 0, 8]], [[0, 0, 0], [0, 0, 0]]])
+    example = Example([x], target)
+    alone = [crop_losses(network, example, 0, corner[None], 8, l1_loss) for corner in corners]
+    together = crop_losses(network, example, 0, corners, 8, l1_loss)
+    torch.testing.assert_close(together, (alone[0] + alone[1] + alone[2]) / 3)
+    assert len({*together.tolist(), *alone[0].tolist(), *alone[1].tolist()}) == 6
 
 
 def test_weights_are_cut_out_of_the_same_place(make_batch) -> None:
@@ -75,7 +87,7 @@ def test_weights_are_cut_out_of_the_same_place(make_batch) -> None:
     x, target = (make_batch(seed, (8, 8, 16), 1, 1, 0.3, torch.float64) for seed in (0, 1))
     weights = x.with_features(torch.rand(len(x.features), 1, dtype=torch.float64))
     corner, low, shape = np.array([[0, 0, 8]]), np.array([[0, 0, MARGIN]]), (8, 8, 8 - MARGIN)
-    (found,) = crop_losses(network, Example([x], target), 0, corner, 8, l1_loss, weights)
+    (found,) = crop_losses(network, Example([x], target), 0, corner[None], 8, l1_loss, weights)
     box = network.levels[0](crop(x, corner, (8, 8, 8))).raw
     expected = l1_loss(crop(box, low, shape), crop(target, corner + low, shape),
                        weights=crop(crop(weights, corner, (8, 8, 8)), low, shape))
@@ -85,18 +97,21 @@ def test_weights_are_cut_out_of_the_same_place(make_batch) -> None:
 def test_corners_are_aligned_within_the_grid_and_a_pure_function(make_batch) -> None:
     truth = make_batch(3, (8, 12, 16), 3, 1, 0.02).structure
     keys = ["a", "b", "c"]
-    drawn = np.stack([draw_corners(truth, 8, 0, epoch, keys) for epoch in range(40)])
+    drawn = np.concatenate([draw_corners(truth, 8, 0, epoch, keys) for epoch in range(40)])
     assert (drawn % ALIGNMENT == 0).all() and (drawn >= 0).all()
     assert (drawn + 8 <= truth.grid).all()
-    np.testing.assert_array_equal(drawn[7], draw_corners(truth, 8, 0, 7, keys))
-    np.testing.assert_array_equal(drawn[7][1:2], draw_corners(
+    np.testing.assert_array_equal(drawn[7:8], draw_corners(truth, 8, 0, 7, keys))
+    np.testing.assert_array_equal(drawn[7:8, 1:2], draw_corners(
         type(truth)(truth.trees[1:2]), 8, 0, 7, keys[1:2]))
+    several = draw_corners(truth, 8, 0, 7, keys, 20)
+    np.testing.assert_array_equal(several[:1], drawn[7:8])
+    assert len({tuple(corner) for corner in several[:, 0].tolist()}) > 1
     assert len({tuple(corner) for corner in drawn[:, 0].tolist()}) > 1
     # The one divided tree of a grid lies in every box.
     trees = np.zeros((1, 16, 16, 16, 2), np.uint64)
     trees[0, 13, 2, 7, 0] = 1
     for epoch in range(10):
-        (corner,) = draw_corners(type(truth)(trees), 8, 1, epoch, ["x"])
+        ((corner,),) = draw_corners(type(truth)(trees), 8, 1, epoch, ["x"])
         assert (corner <= (13, 2, 7)).all() and (corner + 8 > (13, 2, 7)).all()
     with pytest.raises(OcnfError, match="larger than the grid"):
         draw_corners(truth, 16, 0, 0, keys)
@@ -104,10 +119,12 @@ def test_corners_are_aligned_within_the_grid_and_a_pure_function(make_batch) -> 
 
 def test_a_run_trains_on_crops(tiny, small, out) -> None:
     stages = [{"epochs": 1, "batch_size": 2, "accumulate": 1},
-              {"epochs": 2, "batch_size": 2, "accumulate": 1, "crop": 64}]
+              {"epochs": 2, "batch_size": 2, "accumulate": 1, "crop": 64, "crops": 2}]
     network = train(tiny, out, small(stages=stages))
     assert len(network.levels) == 2 and (out / "level-2.safetensors").is_file()
     with pytest.raises(OcnfError, match="larger than the grid"):
         train(tiny, out.with_name("other"), small(stages=[stages[0], {**stages[1], "crop": 96}]))
     with pytest.raises(OcnfError, match="context needs the whole grid"):
         small(context=16, stages=[stages[1]])
+    with pytest.raises(OcnfError, match="the whole grid is one box"):
+        small(stages=[{**stages[0], "crops": 2}])

@@ -1,0 +1,35 @@
+"""Which device and which way to talk a rank gets."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from ocnf_model.training import world
+
+
+@pytest.mark.parametrize(("local_rank", "n_here", "device", "backend"), [
+    (0, 1, "cuda:0", "nccl"), (1, 2, "cuda:1", "nccl"), (5, 8, "cuda:1", "gloo"), (2, 3, "cuda:0", "gloo")])
+def test_ranks_share_the_gpus_there_are(monkeypatch, local_rank: int, n_here: int, device: str,
+                                        backend: str) -> None:
+    """With two GPUs: one each as far as they go, then in turn, and by way of the host."""
+    asked = {}
+    monkeypatch.setenv("WORLD_SIZE", "8")
+    monkeypatch.setenv("LOCAL_RANK", str(local_rank))
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", str(n_here))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "set_device", lambda device: asked.update(device=str(device)))
+    monkeypatch.setattr(world, "pick_device", torch.device)
+    for name, found in (("init_process_group", lambda backend: asked.update(backend=backend)),
+                        ("get_rank", lambda: local_rank), ("get_world_size", lambda: 8),
+                        ("destroy_process_group", lambda: None)):
+        monkeypatch.setattr(world.dist, name, found)
+    with world.join_world("auto") as joined:
+        assert str(joined.device) == device
+    assert asked == {"device": device, "backend": backend}
+
+
+def test_ranks_on_cpus_talk_by_gloo(monkeypatch) -> None:
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "1")
+    assert world._backend(torch.device("cpu")) == "gloo"
