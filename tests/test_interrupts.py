@@ -207,3 +207,34 @@ except KeyboardInterrupt:
         assert run.stdout == "stopped\n"
         assert ("a worker is gone" in run.stderr) == said
         assert said or not run.stderr
+
+
+@SIGNALS
+def test_an_interrupt_in_a_finaliser_is_not_lost(number) -> None:
+    """Python prints and forgets what is raised in `__del__`; errors of other kinds are shown as ever."""
+    code = """
+import os, sys, time
+from ocnf_data.files.interrupts import listen
+listen()
+listen()
+class Finalised:
+    def __init__(self, act):
+        self.act = act
+    def __del__(self):
+        self.act()
+        time.sleep(0.2)
+def fail():
+    raise ValueError("shown")
+Finalised(fail)
+try:
+    Finalised(lambda: os.kill(os.getpid(), int(sys.argv[1])))
+    time.sleep(10)
+except KeyboardInterrupt:
+    print("stopped")
+"""
+    began = time.monotonic()
+    run = subprocess.run([sys.executable, "-c", code, str(int(number))], capture_output=True, text=True,
+                         check=True)
+    assert run.stdout == "stopped\n"
+    assert time.monotonic() - began < 9
+    assert "shown" in run.stderr and "KeyboardInterrupt" not in run.stderr

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -21,6 +22,7 @@ Value = TypeVar("Value")
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SECONDS_OF_GRACE = 2.0
+_SECONDS_UNTIL_AGAIN = 0.02
 
 
 def _say_nothing(_: threading.ExceptHookArgs) -> None:
@@ -39,6 +41,8 @@ class _Listener:
         self.since = 0.0
         self.delays = 0
         self.waiting = False
+        self.lost = False
+        self.hook_before = sys.unraisablehook
 
     def hear(self, number: int, _: FrameType | None) -> None:
         """The handler of both signals."""
@@ -46,6 +50,9 @@ class _Listener:
             if number == signal.SIGTERM:
                 os._exit(128 + number)
             return
+        if self.lost:
+            self.lost = False
+            raise KeyboardInterrupt
         if self.first is not None:  # a shell or a batch system may send both; one who insists gets their way
             if time.monotonic() - self.since > _SECONDS_OF_GRACE:
                 os._exit(128 + number)
@@ -56,6 +63,17 @@ class _Listener:
             self.waiting = True
         else:
             raise KeyboardInterrupt
+
+    def hear_again(self, ignored: sys.UnraisableHookArgs) -> None:
+        """Raise soon what Python ignored: it arrived in a `__del__`, or a callback of a weak reference."""
+        if self.first is None or os.getpid() != self.process \
+                or not isinstance(ignored.exc_value, KeyboardInterrupt):
+            self.hook_before(ignored)
+            return
+        self.lost = True
+        main = threading.main_thread().ident
+        assert main is not None
+        threading.Timer(_SECONDS_UNTIL_AGAIN, signal.pthread_kill, (main, self.first)).start()
 
     def catch_up(self) -> None:
         """Raise what had to wait."""
@@ -69,8 +87,11 @@ _listener = _Listener()
 
 def listen() -> None:
     """Let SIGINT and SIGTERM raise `KeyboardInterrupt` in this process's main thread from now on."""
-    _listener.__init__()  # type: ignore[misc]  # again, where a process calls several commands
+    if sys.unraisablehook == _listener.hear_again:  # again, where a process calls several commands
+        sys.unraisablehook = _listener.hook_before
+    _listener.__init__()  # type: ignore[misc]
     _listener.process = os.getpid()
+    sys.unraisablehook = _listener.hear_again
     for number in _SIGNALS:
         signal.signal(number, _listener.hear)
 
