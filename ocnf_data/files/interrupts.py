@@ -52,13 +52,13 @@ class _Listener:
             return
         if self.lost:
             self.lost = False
-            raise KeyboardInterrupt
-        if self.first is not None:  # a shell or a batch system may send both; one who insists gets their way
+        elif self.first is not None:  # a shell, a batch system may send both; one who insists gets their way
             if time.monotonic() - self.since > _SECONDS_OF_GRACE:
                 os._exit(128 + number)
             return
-        self.first, self.since = number, time.monotonic()
-        threading.excepthook = _say_nothing
+        else:
+            self.first, self.since = number, time.monotonic()
+            threading.excepthook = _say_nothing
         if self.delays:
             self.waiting = True
         else:

@@ -83,9 +83,8 @@ def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I6
         x = network.level_input(before, example.inputs[level])
     grid, losses = np.array(x.structure.grid), []
     for of_samples in corners:
-        with torch.no_grad():
-            box = crop(x, of_samples, (size,) * 3)
-        raw, target = network.levels[level](box).raw, crop(example.target, of_samples, (size,) * 3)
+        box, target = (crop(whole, of_samples, (size,) * 3) for whole in (x, example.target))
+        raw = network.levels[level](box).raw
         losses.append(torch.stack([
             _inner_loss(raw, target, b, corner, grid, size, loss, weights)
             for b, corner in enumerate(of_samples)]))

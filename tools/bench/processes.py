@@ -86,10 +86,11 @@ def main() -> None:
     octrees = sample_octrees(options.mesh, _SIDES)
     context, found = get_context("spawn"), []
     for n in options.processes:
-        with ProcessPoolExecutor(n, context, meet, (context.Barrier(n), options.threads)) as pool:
+        barrier = context.Barrier(n, timeout=600)  # seconds: one that fails leaves no others waiting
+        with ProcessPoolExecutor(n, context, meet, (barrier, options.threads)) as pool:
             found.append([sum(pool.map(steps_a_second, [octrees] * n, [case] * n, [options.device] * n,
                                        [options.seconds] * n)) * case[2] for case in CASES])
-    print_table("samples a second | " + " | ".join(f"{n} processes" for n in options.processes),
+    print_table("samples a second, by processes | " + " | ".join(map(str, options.processes)),
                 [[f"{_SIDES[level - 1]}³" + (f", crop {crop}" if crop else ""),
                   *(f"{rates[i]:.2f}" for rates in found)] for i, (level, crop, _) in enumerate(CASES)])
 
