@@ -36,6 +36,7 @@ class Architecture(Strict):
     residual: bool = False
     normalise: Normaliser = Normaliser.NONE
     blend: bool = False
+    finer: Annotated[Int, Field(ge=0, le=16)] = 0
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
 
     @classmethod
@@ -46,7 +47,7 @@ class Architecture(Strict):
     def kinds(self, level: int) -> dict[str, TensorKind]:
         """The tensors of a level (from 0) by name; nothing is allocated for it."""
         with torch.device("meta"):
-            own = self.network(min(level, 1) + 1).levels[-1].state_dict()  # all from the second on are alike
+            own = self.network(level + 1).levels[-1].state_dict()
         return {name: TensorKind.of(tensor) for name, tensor in own.items()}
 
     def network(self, levels: int, checkpointing: bool = False) -> OctNetFusion:

@@ -63,6 +63,16 @@ def parse_resolutions(value: object) -> tuple[int, ...]:
     return checked
 
 
+def parse_targets(value: object, resolutions: tuple[int, ...]) -> tuple[int, ...]:
+    """Resolutions of the ground truth: all of `resolutions` (True), none (False), or some."""
+    if isinstance(value, bool):
+        return resolutions if value else ()
+    chosen = parse_resolutions(value)
+    if unknown := set(chosen) - set(resolutions):
+        raise bad_setting("no such resolution", "targets", min(unknown), f"some of {resolutions}")
+    return chosen
+
+
 def place_among_ranks(rank: int | None, world_size: int | None,
                       running: tuple[int, int] | None) -> tuple[int, int]:
     """(rank, world size) of this process.

@@ -35,7 +35,7 @@ class Request:
         encoding: encoding of the inputs; None for no inputs.
         variant: variant of the inputs; None for the only one that there is.
         categories: None for all.
-        targets: whether the ground truth is wanted.
+        targets: those of the resolutions that the ground truth is wanted at.
     """
 
     split: str
@@ -43,7 +43,7 @@ class Request:
     encoding: Encoding | None
     variant: str | None
     categories: tuple[str, ...] | None
-    targets: bool
+    targets: tuple[int, ...]
 
     def inputs(self) -> list[str]:
         """Member names of the inputs, by resolution."""
@@ -53,7 +53,7 @@ class Request:
 
     def ground_truth(self) -> list[str]:
         """Member names of the targets, by resolution."""
-        return [target_member(resolution) for resolution in self.resolutions] if self.targets else []
+        return [target_member(resolution) for resolution in self.targets]
 
     def members(self) -> list[str]:
         """All members to be read, `json` first."""

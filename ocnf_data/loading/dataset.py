@@ -26,6 +26,7 @@ from ocnf_data.loading.arguments import (
     names,
     one_of,
     parse_resolutions,
+    parse_targets,
     whole,
 )
 from ocnf_data.loading.assemble import Assembler, Lost
@@ -59,7 +60,7 @@ class ShardDataset(EpochDataset):
             from behind the batch, marked `repeat`, so that ranks stay equal in length (with uneven="exact",
             where ranks may differ, nothing does: the batch is shorter, and may be empty).
         categories: names of the categories to read; None for all.
-        targets: False leaves out the ground truth.
+        targets: False leaves out the ground truth; or those of the resolutions that it is wanted at.
         shuffle: False meets the samples in the data sets' own order, in every epoch.
         buffer: samples in the window that is shuffled (see `loading.order`).
         uneven: "repeat" gives every rank ceil(N / (world_size batch_size)) batches, filled up with the first
@@ -96,7 +97,7 @@ class ShardDataset(EpochDataset):
         on_error: str = "raise",
         *,
         categories: Sequence[str] | None = None,
-        targets: bool = True,
+        targets: bool | Sequence[int] = True,
         shuffle: bool = True,
         buffer: int = 1024,
         uneven: str = "repeat",
@@ -104,15 +105,16 @@ class ShardDataset(EpochDataset):
         augment: str = "none",
         max_bad_fraction: float = 0.05,
     ) -> None:
+        grids = parse_resolutions(resolutions)
         request = Request(
             split=split,
-            resolutions=parse_resolutions(resolutions),
+            resolutions=grids,
             encoding=None if encoding is None else one_of(Encoding, "encoding", encoding),
             variant=variant,
             categories=None if categories is None else names("categories", categories),
-            targets=targets,
+            targets=parse_targets(targets, grids),
         )
-        if encoding is None and not targets:
+        if encoding is None and not request.targets:
             raise bad_setting("nothing is asked for", "encoding", None, "an encoding, or targets=True")
         self._seed = whole("seed", seed, least=0)
         self._buffer = whole("buffer", buffer, least=1)
@@ -147,7 +149,7 @@ class ShardDataset(EpochDataset):
             "resolutions": list(request.resolutions),
             "encoding": None if request.encoding is None else str(request.encoding),
             "variant": request.variant,
-            "targets": request.targets,
+            "targets": bool(request.targets),
             "n_samples": partition.n_samples,
             "seed": self._seed,
             "shuffle": self._shuffle,

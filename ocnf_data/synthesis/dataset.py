@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ocnf_data.encodings import Encoding
-from ocnf_data.loading.arguments import names, one_of, parse_resolutions, whole
+from ocnf_data.loading.arguments import names, one_of, parse_resolutions, parse_targets, whole
 from ocnf_data.loading.catalogue import Request
 from ocnf_data.loading.drawn import DrawnDataset
 from ocnf_data.manifest import Manifest, load_manifest
@@ -35,6 +35,7 @@ class SynthesisDataset(DrawnDataset):
     Args:
         manifest: a manifest, the path of its YAML, or `Sources` opened before.
         resolutions: voxels a side, multiples of 8; they need not be the manifest's.
+        targets: those of the resolutions that the ground truth is wanted at; True for all.
         encoding: encoding of the inputs.
         meshes: the folder that the manifest's mesh paths are relative to.
         split: whose mesh files, or which of the shapes' endless rows, are drawn from.
@@ -76,11 +77,13 @@ class SynthesisDataset(DrawnDataset):
         max_bad_fraction: float = 0.05,
         cache: str | os.PathLike[str] | None = None,
         samples_per_epoch: int | None = None,
+        targets: bool | Sequence[int] = True,
     ) -> None:
         chosen = None if categories is None else names("categories", categories)
-        request = Request(split=split, resolutions=parse_resolutions(resolutions),
+        grids = parse_resolutions(resolutions)
+        request = Request(split=split, resolutions=grids,
                           encoding=one_of(Encoding, "encoding", encoding), variant=DRAWN_VARIANT,
-                          categories=chosen, targets=True)
+                          categories=chosen, targets=parse_targets(targets, grids))
         if not isinstance(manifest, Sources):
             if not isinstance(manifest, Manifest):
                 manifest = load_manifest(manifest)

@@ -65,8 +65,8 @@ class SynthesisSupply:
         def make(resolutions: tuple[int, ...]) -> dict[int, RawOctree]:
             return make_truths(manifest, posed, resolutions)
 
-        truths = make(request.resolutions) if self._cache is None else self._cache.find(
-            season_of(epoch, self._repeat), [self._seed, number, attempt], request.resolutions, make)
+        truths = make(request.targets) if self._cache is None else self._cache.find(
+            season_of(epoch, self._repeat), [self._seed, number, attempt], request.targets, make)
         inputs = make_inputs(manifest, posed, look, request.encoding, request.resolutions)
         octrees = {target_member(resolution): octree for resolution, octree in truths.items()}
         octrees |= {input_member(DRAWN_VARIANT, request.encoding, resolution): octree

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import track
 
 from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
 from ocnf_model.completion.data import CompletionData
 from ocnf_model.completion.encoding import CHANNELS
 from ocnf_model.completion.predict import CompletionNetwork, choose_threshold, write_threshold
@@ -37,6 +38,9 @@ def completion_settings(fields: Mapping[str, Any] | None = None,
     Raises:
         OcnfError: a field that is unknown or impossible, by name.
     """
+    if (fields or {}).get("finer"):
+        raise OcnfError("a level of the completion network reads its own resolution alone", where=where,
+                        field="finer", found=(fields or {})["finer"], expected=0)
     return read_settings({**_DEFAULTS, **(fields or {}), **_FIXED}, where)
 
 

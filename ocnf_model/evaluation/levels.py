@@ -43,9 +43,11 @@ class Reached:
 
 
 @torch.no_grad()
-def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch],
-               device: torch.device) -> Iterator[Reached]:
+def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch], device: torch.device,
+               levels: int | None = None) -> Iterator[Reached]:
     """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at.
+
+    So many levels run, or as many as the inputs are enough for.
 
     It computes in the network's `precision` where the device is fast in that; results are float32.
     """
@@ -54,12 +56,12 @@ def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch],
     before: LevelOutput | None = None
     seconds = 0.0
     wait_for(device)
-    for level, encoded in zip(network.levels, inputs, strict=False):
+    for level in range(network.reach(len(inputs)) if levels is None else levels):
         start = time.perf_counter()
-        size = "x".join(map(str, encoded.shape))
+        size = "x".join(map(str, inputs[level].shape))
         with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"), \
                 autocast(precision, device):
-            before = level(network.level_input(before, encoded))
+            before = network.levels[level](network.level_input(before, inputs, level))
             wait_for(device)
         seconds += time.perf_counter() - start
         found = before.reconstruction.to("cpu")

@@ -109,7 +109,7 @@ class Bench:
         plan: the methods to run, and what they take.
         weight: TV-L1's.
         network: the network that `ours` runs; on its device, in evaluation mode.
-        resolutions: resolutions of the network's levels that the data set has.
+        resolutions: resolutions that the network reads and the data set has.
         origins: gives the mesh that the surfaces are measured against, if it can.
     """
 
@@ -160,8 +160,9 @@ class Bench:
             device = next(self._network.parameters()).device
             batches = [OctreeBatch.from_grids([inputs[resolution]]) for resolution in self._resolutions]
             is_occupancy = self._network.output is Output.OCCUPANCY
+            reached_at = self._resolutions[:self._network.reach(len(batches))]
             levels = run_levels(self._network, batches, device)
-            for resolution, reached in zip(self._resolutions, levels, strict=True):
+            for resolution, reached in zip(reached_at, levels, strict=True):
                 yield resolution, Field(reached.reconstruction, is_occupancy), reached.seconds
             return
         for resolution, octree in inputs.items():
@@ -197,16 +198,22 @@ class Bench:
                    surface, known)
 
 
-def level_resolutions(facts: DatasetFacts, resolutions: Sequence[int]) -> list[int]:
-    """Resolutions of the network's levels, `resolutions`, coarse to fine, as far as the data set has them.
+def level_resolutions(facts: DatasetFacts, network: OctNetFusion, resolutions: Sequence[int]) -> list[int]:
+    """Resolutions that the network reads, coarse to fine, as far as the data set has them.
+
+    Args:
+        facts: what the manifest of the data set says.
+        network: the network.
+        resolutions: those of its levels, coarse to fine.
 
     Raises:
-        OcnfError: it has not even the first.
+        OcnfError: they are not enough for the first level.
     """
-    shared = list(takewhile(lambda resolution: resolution in facts.resolutions, resolutions))
-    if not shared:
+    read = [resolutions[0] << i for i in range(network.needs(len(resolutions)))]
+    shared = list(takewhile(lambda resolution: resolution in facts.resolutions, read))
+    if not network.reach(len(shared)):
         raise OcnfError("the data set lacks the resolution of the network's first level", code="missing",
                         where=facts.url, field="resolutions", found=list(facts.resolutions),
-                        expected=resolutions[0],
+                        expected=" and ".join(map(str, read[:network.needs(1)])),
                         fix="generate it, or evaluate other methods")
     return shared

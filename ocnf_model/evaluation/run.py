@@ -156,7 +156,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         chosen = tuple(method for method in chosen if method is not Method.OURS)
     levels: list[int] = []
     if network is not None and Method.OURS in chosen:
-        levels = level_resolutions(facts, resolutions or facts.resolutions[: len(network.levels)])
+        levels = level_resolutions(facts, network, resolutions or facts.resolutions[: len(network.levels)])
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
     weight = _weights(weights, plans, facts.resolutions, notes)

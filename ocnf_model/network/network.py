@@ -11,6 +11,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.devices import Precision
 from ocnf_model.network.choices import Carry, Join, Normaliser, Output, choice
+from ocnf_model.network.finer import pooled_encoding
 from ocnf_model.network.level import Level, LevelOutput
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import FusionBlend, concat, split_surface
@@ -22,8 +23,9 @@ class OctNetFusion(nn.Module):
     Level l takes the encoding at its resolution and, from the second on, what the level before carries up:
     split near its reconstructed surface and put side by side with the encoding. Input channels of a level,
     with the histogram's 10 and channels[0] = 16: 10 for the first; 26 for later ones carrying features, 11
-    carrying the reconstruction. Parameters of all, TSDF: see `Level`, or `ocnf-model info RUN`; with the
-    defaults 606,113 for the first and 613,025 for each later level, 1,832,163 in all.
+    carrying the reconstruction; 10 more for each of the first `finer` ones. Parameters of all, TSDF: see
+    `Level`, or `ocnf-model info RUN`; with the defaults 606,113 for the first and 613,025 for each later
+    level, 1,832,163 in all.
 
     >>> inputs = [OctreeBatch.full(torch.zeros(2, 10, side, side, side)) for side in (32, 64)]
     >>> network = OctNetFusion(levels=2, channels=(2, 4, 8))
@@ -47,6 +49,8 @@ class OctNetFusion(nn.Module):
             more than any layer that remembers what passed through it.
         blend: whether every level blends its TSDF with that of plain fusion (`FusionBlend`); the paper's
             does not.
+        finer: how many levels, from the first on, also read the encoding of the next resolution, the mean of
+            eight voxels: one pixel a view and voxel is little where a voxel covers many. 0 in the paper.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
         extra_channels: channels that every input has behind the encoding's, 0 or more.
 
@@ -62,7 +66,7 @@ class OctNetFusion(nn.Module):
         self, encoding: str = Encoding.HISTOGRAM, levels: int = 3, join: str = Join.CONCAT,
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
         band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normaliser.NONE,
-        blend: bool = False, checkpointing: bool = False, extra_channels: int = 0,
+        blend: bool = False, finer: int = 0, checkpointing: bool = False, extra_channels: int = 0,
     ) -> None:
         super().__init__()
         self.encoding = choice(Encoding, "encoding", encoding)
@@ -78,7 +82,7 @@ class OctNetFusion(nn.Module):
         self.band, self.context, self.residual = band, context, residual
         self.normalise = choice(Normaliser, "normalise", normalise)
         self.precision = Precision.FLOAT32
-        self.blend, self.extra_channels = blend, extra_channels
+        self.blend, self.finer, self.extra_channels = blend, finer, extra_channels
         if blend and self.output is Output.OCCUPANCY:
             raise OcnfError("only a TSDF can be blended with that of plain fusion", where="OctNetFusion",
                             field="blend", found=blend, expected="false, or output: tsdf")
@@ -87,10 +91,10 @@ class OctNetFusion(nn.Module):
         self.levels = nn.ModuleList()
         for level in range(levels):
             column = carried if level else 0  # of the first channel of the encoding
+            read = column + (2 if level < finer else 1) * self.in_channels
             self.levels.append(Level(
-                column + self.in_channels, self.channels, self.join, self.output, 0 if level else context,
-                residual, self.normalise,
-                FusionBlend(self.encoding, column, self.channels[0]) if blend else None))
+                read, self.channels, self.join, self.output, 0 if level else context, residual,
+                self.normalise, FusionBlend(self.encoding, column, self.channels[0]) if blend else None))
         self.set_checkpointing(checkpointing)
 
     def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:
@@ -98,38 +102,58 @@ class OctNetFusion(nn.Module):
 
         Args:
             inputs: encodings, coarse to fine, each twice the resolution of the one before, shapes multiples
-                of 32 voxels; one for each level, or for the first few of them.
+                of 32 voxels; for all levels, or for the first few of them (`needs`).
 
         Raises:
             OcnfError: the inputs do not fit the network or each other.
         """
         return [result.reconstruction for result in self.run(inputs)]
 
-    def run(self, inputs: Sequence[OctreeBatch], frozen: int = 0) -> list[LevelOutput]:
+    def run(self, inputs: Sequence[OctreeBatch], frozen: int = 0, levels: int | None = None,
+            ) -> list[LevelOutput]:
         """The forward pass, with all that each level makes.
 
         Args:
             inputs: encoded views, an `OctreeBatch` for each level, coarse to fine.
             frozen: levels before this one run without gradients: to train level l (from 0) alone, pass
-                `inputs[: l + 1]` and `frozen=l` and take the last output.
+                `frozen=l` and `levels=l + 1` and take the last output.
+            levels: how many levels run; None: as many as the inputs are enough for.
         """
         self._check(inputs)
         outputs: list[LevelOutput] = []
-        for level, encoded in enumerate(inputs):
+        for level in range(self.reach(len(inputs)) if levels is None else levels):
             with torch.set_grad_enabled(torch.is_grad_enabled() and level >= frozen):
-                x = self.level_input(outputs[-1] if outputs else None, encoded)
+                x = self.level_input(outputs[-1] if outputs else None, inputs, level)
                 outputs.append(self.levels[level](x))
         return outputs
 
-    def level_input(self, before: LevelOutput | None, encoded: OctreeBatch) -> OctreeBatch:
-        """What a level reads: the encoding, and beside it what the level before carries up."""
+    def needs(self, levels: int) -> int:
+        """How many inputs the first `levels` levels read."""
+        return levels + (1 if 0 < levels <= self.finer else 0)
+
+    def reach(self, inputs: int) -> int:
+        """How many levels can run on the first `inputs` inputs."""
+        return max(n for n in range(len(self.levels) + 1) if self.needs(n) <= inputs)
+
+    def level_input(self, before: LevelOutput | None, inputs: Sequence[OctreeBatch],
+                    level: int) -> OctreeBatch:
+        """What a level (from 0) reads, side by side.
+
+        What the level before carries up, if there is one; the encoding; and for the first `finer` levels that
+        of the next resolution, pooled, on a structure that is at least as fine as each of the three.
+        """
+        encoded = inputs[level]
+        finer = pooled_encoding(inputs[level + 1]) if level < self.finer else None
+        structure = encoded.structure if finer is None else encoded.structure.union(finer.structure)
         if before is None:
-            return encoded
-        reconstruction = before.reconstruction
-        carried = before.features if self.carry is Carry.FEATURES else reconstruction
-        split = split_surface(carried, reconstruction, self.band, guide=encoded,
+            x = encoded.refined(structure)
+        else:
+            reconstruction = before.reconstruction
+            carried = before.features if self.carry is Carry.FEATURES else reconstruction
+            x = split_surface(carried, reconstruction, self.band, guide=structure,
                               threshold=self.output.threshold)
-        return concat(split, encoded.to(dtype=split.features.dtype))  # autocast makes the carried ones short
+            x = concat(x, encoded.to(dtype=x.features.dtype))  # autocast makes the carried ones short
+        return x if finer is None else concat(x, finer.to(dtype=x.features.dtype))
 
     def start_from_previous(self, level: int) -> list[str]:
         """Copy to a level (from 1) the weights of the one before, where shapes match; names of the rest."""
@@ -152,9 +176,10 @@ class OctNetFusion(nn.Module):
                 module.checkpointing = on
 
     def _check(self, inputs: Sequence[OctreeBatch]) -> None:
-        if not 1 <= len(inputs) <= len(self.levels):
+        least, most = self.needs(1), self.needs(len(self.levels))
+        if not least <= len(inputs) <= most:
             raise OcnfError("a wrong number of inputs", where="OctNetFusion", field="inputs",
-                            found=len(inputs), expected=f"1 to {len(self.levels)}, coarse to fine")
+                            found=len(inputs), expected=f"{least} to {most}, coarse to fine")
         for level, encoded in enumerate(inputs):
             field = f"inputs[{level}]"
             if encoded.channels != self.in_channels:

@@ -121,11 +121,12 @@ class Learned:
         TSDF / tau, or 1 - 2 p of the probability p of being occupied. `report` is told (levels run, levels in
         all) after each.
         """
-        network, size = self.network, region.size
+        network, size, n_levels = self.network, region.size, len(self.resolutions)
+        read = [self.resolutions[0] << i for i in range(network.needs(n_levels))]
         inputs = [OctreeBatch.from_grids([
             fuse(pyramid, network.encoding, resolution, size, self.truncation_voxels * size / resolution,
-                 centre=region.centre)]) for resolution in self.resolutions]
-        reached = run_levels(network, inputs, next(network.parameters()).device)
+                 centre=region.centre)]) for resolution in read]
+        reached = run_levels(network, inputs, next(network.parameters()).device, n_levels)
         octrees = {}
         for resolution, level in zip(self.resolutions, reached, strict=True):
             octrees[resolution] = self._signed(level.reconstruction)

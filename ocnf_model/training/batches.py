@@ -20,12 +20,17 @@ class Example:
     """What a level is trained or judged on.
 
     Attributes:
-        inputs: encodings of this level and those before, coarse to fine.
+        inputs: encodings of this level and those before, coarse to fine; and of the next, where it is read.
         target: ground truth of this level, TSDF / tau or occupancy, on its own structure.
     """
 
     inputs: list[OctreeBatch]
     target: OctreeBatch
+
+    @property
+    def encoded(self) -> OctreeBatch:
+        """The input of the target's resolution."""
+        return next(encoded for encoded in self.inputs if encoded.shape == self.target.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +65,7 @@ def to_octree_batch(octrees: Octrees, device: torch.device | str = "cpu") -> Oct
 
 
 def make_example(batch: AnyBatch, output: Output, target: str, device: torch.device) -> Example:
-    """The inputs of all the batch's resolutions, and the ground truth of the finest.
+    """The inputs of all the batch's resolutions, and the finest ground truth there is.
 
     Args:
         batch: resolutions coarse to fine.

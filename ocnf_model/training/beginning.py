@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from ocnf_model.checkpoint import level_architecture, load_level, run_folder, trained_levels
 from ocnf_model.header import Architecture
@@ -12,12 +13,15 @@ from ocnf_model.network import Level, Normaliser, OctNetFusion, fold_normalisati
 from ocnf_model.ops import FusionBlend
 from ocnf_model.training.settings import TrainSettings
 
+_READS = "first.0.weight"
+
 
 def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     """The network before training, and how many levels have the weights of the run that it starts from.
 
-    That run's network may lack a blend, or the first level's context: they begin as new ones do. And it may
-    have batch normalisation where this one has none: that is folded into its convolutions.
+    That run's network may lack a blend, or the first level's context: they begin as new ones do. Fewer of its
+    levels may read a finer encoding: what it adds counts for nothing at first. And it may have batch
+    normalisation where this one has none: that is folded into its convolutions.
 
     Raises:
         OcnfError: the run to start from is missing, damaged or of another network.
@@ -37,6 +41,7 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
         weights = given.state_dict()
         if network.normalise is Normaliser.NONE:
             weights = fold_normalisation(weights)
+        weights[_READS] = _widened(weights[_READS], own.state_dict()[_READS].shape[1])
         own.load_state_dict(weights, strict=False)  # `load_level` has seen to it that nothing else lacks
     return network, n_started
 
@@ -47,9 +52,17 @@ def _given_level(folder: Path, settings: TrainSettings, level: int) -> Level:
     network = wanted.model_copy(update={
         "blend": wanted.blend and there.blend,
         "context": wanted.context if there.context else 0,
+        "finer": min(wanted.finer, there.finer),
         "normalise": there.normalise if wanted.normalise is Normaliser.NONE else wanted.normalise,
     }).network(level + 1)
     load_level(folder, network, level)
     given = network.levels[level]
     assert isinstance(given, Level)
     return given
+
+
+def _widened(weight: Tensor, channels: int) -> Tensor:
+    """A convolution's weight (C_out, C_in, 3, 3, 3) for more channels, the new ones without a say."""
+    wider = weight.new_zeros(len(weight), channels, *weight.shape[2:])
+    wider[:, :weight.shape[1]] = weight
+    return wider

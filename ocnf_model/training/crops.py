@@ -79,8 +79,8 @@ def crop_losses(network: OctNetFusion, example: Example, level: int, corners: I6
         weights: of the voxels of whole grids, for the loss.
     """
     with torch.no_grad():
-        before = network.run(example.inputs[:level])[-1] if level else None
-        x = network.level_input(before, example.inputs[level])
+        before = network.run(example.inputs, levels=level)[-1] if level else None
+        x = network.level_input(before, example.inputs, level)
     grid, losses = np.array(x.structure.grid), []
     for of_samples in corners:
         box, target = (crop(whole, of_samples, (size,) * 3) for whole in (x, example.target))

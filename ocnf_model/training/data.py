@@ -73,7 +73,8 @@ class StoredData:
         """The training split, all of it in every epoch or as many samples as the settings say."""
         dataset = ShardDataset(
             self.where, settings.train_split, settings.up_to(level, self.manifest), settings.encoding,
-            variant=settings.variant, categories=settings.categories, seed=settings.seed,
+            variant=settings.variant, targets=settings.own(level, self.manifest),
+            categories=settings.categories, seed=settings.seed,
             on_error=settings.on_error, batch_size=settings.stage(level).batch_size,
             augment=settings.augment, buffer=settings.shuffle_buffer)
         return dataset if settings.samples_per_epoch is None else _mix([(dataset, 1.0)], settings, level)
@@ -130,8 +131,9 @@ class DrawnData:
 
         return SynthesisDataset(
             self._sources, settings.up_to(level, self.manifest), settings.encoding,
-            split=settings.train_split, categories=settings.categories, seed=settings.seed,
-            batch_size=settings.stage(level).batch_size, augment=settings.augment, cache=folder / CACHE,
+            targets=settings.own(level, self.manifest), split=settings.train_split,
+            categories=settings.categories, seed=settings.seed, batch_size=settings.stage(level).batch_size,
+            augment=settings.augment, cache=folder / CACHE,
             samples_per_epoch=settings.samples_per_epoch)
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
@@ -238,8 +240,8 @@ def open_validation(url: str, settings: TrainSettings, level: int, manifest: dic
     """Each validation sample of a data set exactly once."""
     return ShardDataset(
         url, settings.val_split, settings.up_to(level, manifest), settings.encoding,
-        variant=settings.variant, categories=settings.categories, seed=settings.seed,
-        on_error=settings.on_error, shuffle=False, uneven="exact")
+        variant=settings.variant, targets=settings.own(level, manifest), categories=settings.categories,
+        seed=settings.seed, on_error=settings.on_error, shuffle=False, uneven="exact")
 
 
 def checked_validation(val: str | None, manifest: dict[str, Any], where: str) -> str | None:

@@ -28,6 +28,6 @@ def voxel_weights(settings: TrainSettings, output: Output, example: Example) -> 
     """(L, 1) weights of voxels: 1 where an input view has measured, else `unseen`; None: 1 everywhere."""
     if settings.unseen == 1 or output is Output.OCCUPANCY:
         return None
-    seen = seen_by(example.inputs[-1], settings.encoding)
+    seen = seen_by(example.encoded, settings.encoding)
     assert seen is not None  # such settings are refused
     return seen.with_features(seen.features + settings.unseen * (1 - seen.features))

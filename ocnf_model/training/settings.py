@@ -139,6 +139,9 @@ class TrainSettings(Strict):
     blend: bool = False
     """Each level blends its TSDF with that of plain fusion, with a weight of its own for every voxel; the
     paper's does not."""
+    finer: Annotated[Int, Field(ge=0, le=16)] = 0
+    """How many levels, from the first on and never the last, also read the encoding of the next resolution,
+    as the mean of eight voxels; 0 for none (the paper)."""
     blend_from: Annotated[Real, Field(gt=0, lt=1)] = 0.05
     """Share of plain fusion that a new blend begins with: little for few views, which leave much unseen, most
     for the many frames of a scan."""
@@ -151,7 +154,7 @@ class TrainSettings(Strict):
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """Settings for each level; the last ones hold for all levels that follow."""
     start: str | None = None
-    """A run of the same architecture (`blend` and `context` may be new, batch normalisation may go), or
+    """A run of the same architecture (`blend`, `context`, `finer` may be new, batch normalisation may go), or
     `pretrained`, whose weights the levels begin with; None, and for levels that it lacks: random ones for the
     first, those of the level before for later ones."""
     seed: Annotated[Int, Field(ge=0)] = 0
@@ -192,6 +195,13 @@ class TrainSettings(Strict):
         return self
 
     @model_validator(mode="after")
+    def _something_finer(self) -> TrainSettings:
+        if self.finer >= self.levels and self.finer:
+            raise refused("the last level has no next one to read", at="finer", found=self.finer,
+                          expected=f"0 to {self.levels - 1}, for {self.levels} levels")
+        return self
+
+    @model_validator(mode="after")
     def _boxes_have_a_size(self) -> TrainSettings:
         for level, stage in enumerate(self.stages):
             if stage.crops > 1 and stage.crop is None:
@@ -227,8 +237,15 @@ class TrainSettings(Strict):
         return self.stages[min(level, len(self.stages) - 1)]
 
     def up_to(self, level: int, manifest: Mapping[str, Any]) -> list[int]:
-        """The resolutions of the levels (from 0) up to this one, coarse to fine."""
-        return list(self.resolutions or sorted(manifest["resolutions"])[: self.levels])[: level + 1]
+        """The resolutions that a level (from 0) reads: its own, those before, and perhaps the next."""
+        return self._grids(manifest)[:level + (2 if level < self.finer else 1)]
+
+    def own(self, level: int, manifest: Mapping[str, Any]) -> list[int]:
+        """The resolution of a level (from 0), in a list: that of the ground truth."""
+        return self._grids(manifest)[level:level + 1]
+
+    def _grids(self, manifest: Mapping[str, Any]) -> list[int]:
+        return list(self.resolutions or sorted(manifest["resolutions"])[: self.levels])
 
     def resolved(self, manifest: Mapping[str, Any], variant: str | None, where: str) -> TrainSettings:
         """These settings, with what the data set says filled in.

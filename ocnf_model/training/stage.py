@@ -248,7 +248,8 @@ class Trainer:
 
     def _forward(self, example: Example) -> LevelOutput:
         with self._precision():
-            return self._job.network.run(example.inputs, frozen=self._state.level)[-1]
+            level = self._state.level
+            return self._job.network.run(example.inputs, frozen=level, levels=level + 1)[-1]
 
     def _precision(self) -> torch.autocast:
         return autocast(self._job.settings.precision, self._job.world.device)

@@ -64,11 +64,11 @@ class Validator:
 
         Args:
             prediction: the level's reconstruction of the example, in float32.
-            example: inputs and ground truth; the last input has the level's resolution.
+            example: inputs and ground truth.
         """
         is_tsdf = self._output is Output.TSDF
         overlap = tsdf_overlap if is_tsdf else occupancy_overlap
-        encoded = example.inputs[-1]
+        encoded = example.encoded
         seen = seen_by(encoded, self._encoding) if is_tsdf else None
         mads = mad_mm(prediction, example.target, self._tau) if is_tsdf \
             else occupancy_mad(prediction, example.target)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 from torch.nn.functional import avg_pool3d, batch_norm, conv3d, interpolate, linear, max_pool3d
 
 import ocnf_model
 from ocnf_data.errors import OcnfError
+from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.info import layer_table
 from ocnf_model.losses import bce_loss, l1_loss
@@ -31,6 +33,7 @@ def inputs(make_batch) -> list[OctreeBatch]:
     ({"join": "add"}, 4336 + 13856 + 83040 + 331968 + 83008 + 20768 + 17, 6912),
     ({"carry": "reconstruction", "output": "occupancy"}, 606113 - 17 + 433, 432),
     ({"encoding": "tdf_occupancy"}, 606113 - 8 * 432, 6912),
+    ({"finer": 3}, 606113 + 10 * 432, 6912),
 ])
 def test_number_of_parameters(settings, first, later) -> None:
     network = OctNetFusion(**settings)
@@ -49,8 +52,8 @@ def dense_context(context, x: torch.Tensor) -> torch.Tensor:
     return interpolate(context.out(joined), scale_factor=2, mode="trilinear")
 
 
-def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """A level on (B, C, D, H, W) volumes, with torch's own operations."""
+def dense_level(level, x: torch.Tensor, column: int = -1) -> tuple[torch.Tensor, torch.Tensor]:
+    """A level on (B, C, D, H, W) volumes, with torch's own operations; a TSDF is encoded in `column`."""
     def run(convs, x):
         for conv in convs:
             y = conv3d(x, conv.weight, conv.bias, padding=1)
@@ -75,10 +78,10 @@ def dense_level(level, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     if level.output == "occupancy":
         return features, conv3d(features, level.head.weight, level.head.bias, padding=1)
     raw = linear(features.movedim(1, -1), level.head.weight, level.head.bias).movedim(-1, 1)
-    if level.blend is not None:  # the encoding is TSDF, the last channel
+    if level.blend is not None:
         gate = level.blend.gate
         share = (16 * linear(features.movedim(1, -1), gate.weight, gate.bias)).movedim(-1, 1).sigmoid()
-        raw = share * x[:, -1:] + (1 - share) * raw.clamp(-1.25, 1.25)
+        raw = share * x[:, column][:, None] + (1 - share) * raw.clamp(-1.25, 1.25)
     return features, raw
 
 
@@ -118,6 +121,50 @@ def test_a_stage_trains_its_own_level_only(output, inputs) -> None:
     assert all(p.grad is None for p in network.levels[0].parameters())
     assert all(p.grad is not None and p.grad.any() for p in network.levels[1].parameters() if p.ndim > 1)
     assert torch.equal(result.reconstruction.features, network(inputs)[1].features)
+
+
+@pytest.mark.parametrize("settings", [{"finer": 1}, {"finer": 2, "blend": True},
+                                      {"finer": 2, "carry": "reconstruction"}])
+def test_what_is_finer_is_read_as_the_mean_of_eight_voxels(settings) -> None:
+    torch.manual_seed(1)
+    network = OctNetFusion(**SMALL, levels=2, **settings).double().eval()
+    volumes = [torch.randn(1, 1, n, n, n).double() for n in (32, 64, 128)][:2 + (settings["finer"] > 1)]
+    outputs = network.run([OctreeBatch.full(volume) for volume in volumes])
+    means = [avg_pool3d(volume, 2) for volume in volumes[1:]]
+
+    first = dense_level(network.levels[0], torch.cat([volumes[0], means[0]], 1), column=0)[1]
+    torch.testing.assert_close(outputs[0].raw.to_dense(), first)
+    carried = outputs[0].raw if settings.get("carry") == "reconstruction" else outputs[0].features
+    carried = interpolate(carried.to_dense(), scale_factor=2, mode="nearest")
+    parts = torch.cat([carried, volumes[1], *means[1:]], 1)
+    second = dense_level(network.levels[1], parts, column=carried.shape[1])[1]
+    torch.testing.assert_close(outputs[1].raw.to_dense(), second)
+
+
+def test_what_only_the_finer_encoding_shows_is_not_averaged_away() -> None:
+    network = OctNetFusion(**SMALL, levels=1, finer=1)
+    finer = torch.ones(1, 1, 64, 64, 64)
+    finer[..., 11, 30, 5] = -1.0  # one voxel of 64^3, which the coarse encoding misses
+    coarse = GridOctree.from_dense(np.ones((1, 32, 32, 32), np.float32))
+    inputs = [OctreeBatch.from_grids([coarse]),
+              OctreeBatch.from_grids([GridOctree.from_dense(finer[0].numpy())])]
+    read = network.level_input(None, inputs, 0)
+    expected = torch.ones(2, 32, 32, 32)
+    expected[1, 5, 15, 2] = 0.75
+    torch.testing.assert_close(read.to_dense()[0], expected)
+    assert read.n_leaves == 4**3 + 7 + 7 + 7  # one tree down to voxels, all else as the coarse one
+
+
+def test_how_many_inputs_are_read() -> None:
+    plain, finer = OctNetFusion(**SMALL), OctNetFusion(**SMALL, finer=2)
+    assert [plain.needs(n) for n in range(4)] == [plain.reach(n) for n in range(4)] == [0, 1, 2, 3]
+    assert [finer.needs(n) for n in range(4)] == [0, 2, 3, 3]
+    assert [finer.reach(n) for n in range(4)] == [0, 0, 1, 3]
+    volumes = [OctreeBatch.full(torch.zeros(1, 1, n, n, n)) for n in (32, 64)]
+    assert len(finer(volumes)) == 1
+    assert len(OctNetFusion(**SMALL, levels=1, finer=2)(volumes)) == 1
+    with pytest.raises(OcnfError, match="found 1, expected 2 to 3, coarse to fine"):
+        finer(volumes[:1])
 
 
 def test_the_loss_falls(inputs) -> None:

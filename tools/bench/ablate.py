@@ -154,7 +154,7 @@ class Training:
         example, crop = _example(batch), self._stage.crop
         with torch.autocast("cpu", torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
             if crop is None:
-                raw = self.network.run(example.inputs, frozen=self._last)[-1].raw
+                raw = self.network.run(example.inputs, self._last, self._last + 1)[-1].raw
                 return self._loss(raw, example.target, "none")
             size, seed = crop // TREE_WIDTH, self.settings.seed
             corners = draw_corners(example.target.structure, size, seed, batch.epoch, batch.keys)

@@ -68,11 +68,12 @@ def main() -> None:
 @torch.no_grad()
 def figures(run: TrainedRun, data: Path, split: str, name: str) -> Iterator[list[np.ndarray]]:
     """Of each sample the MAD by region (6,) in mm: the network's, VolFus's, and that by mirror images."""
-    tau = run.data.tau(run.resolutions[-1])
-    for batch in ShardDataset(str(data), split, run.resolutions, Encoding.HISTOGRAM, variant=name,
+    levels = run.resolutions
+    tau, read = run.data.tau(levels[-1]), [levels[0] << i for i in range(run.network.needs(len(levels)))]
+    for batch in ShardDataset(str(data), split, read, Encoding.HISTOGRAM, variant=name, targets=levels[-1:],
                               uneven="exact"):
         example = make_example(batch, Output.TSDF, Output.TSDF, torch.device("cpu"))
-        encoded = example.inputs[-1]
+        encoded = example.encoded
         seen = seen_by(encoded, Encoding.HISTOGRAM)
         assert seen is not None
         once = reconstruction(run.network, example.inputs)
@@ -83,12 +84,12 @@ def figures(run: TrainedRun, data: Path, split: str, name: str) -> Iterator[list
 
 def by_mirrors(network: OctNetFusion, inputs: Sequence[OctreeBatch]) -> OctreeBatch:
     """The mean of what the network makes of the eight mirror images of a sample."""
-    total = np.zeros(inputs[-1].shape, np.float32)
+    volumes = []
     for mirror in MIRRORS:
         moved = [OctreeBatch.from_grids([mirror(grid) for grid in encoded.to_grids()]) for encoded in inputs]
         (found,) = reconstruction(network, moved).to_grids()
-        total += mirror(found).to_dense()[0]
-    return OctreeBatch.from_grids([GridOctree.from_dense(total[None] / np.float32(len(MIRRORS)))])
+        volumes.append(mirror(found).to_dense())  # (1, D, H, W)
+    return OctreeBatch.from_grids([GridOctree.from_dense(np.mean(volumes, axis=0))])
 
 
 def reconstruction(network: OctNetFusion, inputs: Sequence[OctreeBatch]) -> OctreeBatch:

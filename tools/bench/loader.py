@@ -120,7 +120,7 @@ def formats_table(root: Path, raw: RawOctree) -> None:
 
 def request_of_one() -> Request:
     """The 256^3 histogram alone."""
-    return Request("train", (256,), Encoding.HISTOGRAM, "v4", categories=None, targets=False)
+    return Request("train", (256,), Encoding.HISTOGRAM, "v4", categories=None, targets=())
 
 
 def npz_samples(tar: Path) -> Iterator[Any]:

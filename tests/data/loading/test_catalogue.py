@@ -89,7 +89,7 @@ def test_samples_of_several_kinds_lack_what_they_lack(sets, tmp_path):
 
 def test_places_are_kept_for_as_many_members_as_are_allowed(eleven, monkeypatch):
     """Each index is read once, or again where there is no room to keep it; the samples are the same."""
-    request = Request("train", (16, 32), Encoding.HISTOGRAM, "v4", categories=None, targets=True)
+    request = Request("train", (16, 32), Encoding.HISTOGRAM, "v4", categories=None, targets=(16, 32))
     read = []
     load = places.load_index
 
@@ -113,7 +113,8 @@ def test_places_are_kept_for_as_many_members_as_are_allowed(eleven, monkeypatch)
 def test_a_hundred_thousand_samples_open_with_two_requests_and_in_little_memory(simulation, tmp_path):
     """6,250 shards over a network, and no index is read until a sample is asked for."""
     simulation.simulate(tmp_path, 100_000, catalogue=True, indices=False)
-    request = Request("train", simulation.RESOLUTIONS, Encoding.HISTOGRAM, None, None, targets=True)
+    grids = simulation.RESOLUTIONS
+    request = Request("train", grids, Encoding.HISTOGRAM, None, None, targets=grids)
     with simulation.slow_server(tmp_path, latency=0.0) as server:
         assert len(open_catalogue([server.url], request)) == 100_000
         assert server.requests == 2
@@ -139,7 +140,7 @@ def test_the_members_of_a_sample_are_those_of_its_index(simulation, tmp_path):
     """Over a network: one request for an index, when its first sample is needed."""
     simulation.simulate(tmp_path, 50, catalogue=False, indices=True)
     restore_catalogues(str(tmp_path))
-    request = Request("train", (256,), Encoding.HISTOGRAM, None, categories=("bed", "chair"), targets=True)
+    request = Request("train", (256,), Encoding.HISTOGRAM, None, categories=("bed", "chair"), targets=(256,))
     with simulation.slow_server(tmp_path, latency=0.0) as server:
         finder = places.PlaceFinder(catalogue := open_catalogue([server.url], request))
         before = server.requests

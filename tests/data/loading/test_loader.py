@@ -239,6 +239,12 @@ def test_variants_encodings_categories_and_targets(sets, tmp_path):
     assert lamps.keys == ("s002",) and [b.categories for b in lamps] == [("lamp",)]
     inputs_only = next(iter(ShardDataset(url, "train", 16, "tsdf", targets=False)))
     assert list(inputs_only.inputs) == [16] and not inputs_only.targets
+    some = next(iter(ShardDataset(url, "train", [16, 32], "tsdf", targets=[16])))
+    both = next(iter(ShardDataset(url, "train", [16, 32], "tsdf")))
+    assert list(some.inputs) == [16, 32] and list(some.targets) == [16] and some.keys == both.keys
+    assert torch.equal(some.targets[16].data, both.targets[16].data)
+    with pytest.raises(OcnfError, match="targets: no such resolution"):
+        ShardDataset(url, "train", [16], "tsdf", targets=[32])
     targets_only = next(iter(ShardDataset(url, "train", [16, 32], None)))
     assert list(targets_only.targets) == [16, 32] and not targets_only.inputs
 

@@ -131,6 +131,12 @@ def test_train_resume_and_evaluate(voxlets: Path, settings: Path, tmp_path: Path
     assert (out / "completion.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_finer_encoding_is_not_read() -> None:
+    with pytest.raises(OcnfError, match="reads its own resolution alone"):
+        completion_settings({"finer": 1})
+    assert completion_settings({"finer": 0}).finer == 0
+
+
 def test_a_run_goes_on_where_it_was_stopped_with_the_same_result(voxlets: Path, tmp_path: Path) -> None:
     chosen = completion_settings({
         "channels": [2, 4, 4], "levels": 1, "samples_per_epoch": 4, "save_every": 1,

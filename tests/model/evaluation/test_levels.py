@@ -43,6 +43,13 @@ def test_levels_one_by_one_are_those_of_the_network(settings, inputs, monkeypatc
         assert not torch.equal(first, first.bfloat16().float())
 
 
+def test_so_many_levels_run_as_are_asked_for(inputs) -> None:
+    made = network(finer=1)
+    assert len(list(run_levels(made, inputs, CPU))) == 2
+    (one,) = run_levels(made, inputs, CPU, 1)
+    assert torch.equal(one.reconstruction.features, made(inputs)[0].features)
+
+
 def test_where_bfloat16_is_slow_it_is_not_used(inputs, monkeypatch) -> None:
     made = network()
     made.precision = Precision.BFLOAT16

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 import trimesh
 from rich.console import Console
 
@@ -71,6 +72,20 @@ def test_the_network_gets_the_histograms_of_the_region(scan: Path, network: OctN
     reached = network(inputs)
     for resolution, one in zip((32, 64), reached, strict=True):
         expected = one.to_dense().clamp(-1, 1)[0].detach().numpy()
+        np.testing.assert_allclose(octrees[resolution].to_dense(), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("resolutions", [(32,), (32, 64)])
+def test_a_network_that_reads_what_is_finer_gets_it(resolutions, scan: Path) -> None:
+    views, region = read_scan(scan).views, Region.of_box(BOX)
+    torch.manual_seed(0)
+    network = OctNetFusion(levels=3, channels=(2, 3, 4), finer=1).eval()
+    octrees = Learned(network, resolutions)(DepthPyramid(views), region)
+    assert tuple(octrees) == resolutions
+    inputs = [OctreeBatch.from_grids([fuse_histogram(views, resolution, region.size, centre=region.centre)])
+              for resolution in (32, 64)]
+    for resolution, one in zip(resolutions, network.run(inputs, levels=len(resolutions)), strict=True):
+        expected = one.reconstruction.to_dense().clamp(-1, 1)[0].detach().numpy()
         np.testing.assert_allclose(octrees[resolution].to_dense(), expected, atol=1e-5)
 
 

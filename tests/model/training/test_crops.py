@@ -56,6 +56,18 @@ def test_a_box_that_is_the_grid_has_the_grids_loss(make_batch) -> None:
     assert all(p.grad is not None for p in network.levels[1].parameters())
 
 
+def test_a_box_reads_what_is_finer(make_batch) -> None:
+    torch.manual_seed(1)
+    network = OctNetFusion(**SMALL, levels=3, finer=2).double()
+    inputs = [sparse_batch(make_batch, 4 << level, 2, level) for level in range(3)]
+    example = Example(inputs, sparse_batch(make_batch, 8, 2, 9))
+    assert example.encoded is inputs[1]
+    losses = crop_losses(network, example, 1, np.zeros((1, 2, 3), np.int64), 8, l1_loss)
+    expected = l1_loss(network.run(inputs, levels=2)[-1].raw, example.target, "none")
+    torch.testing.assert_close(losses, expected)
+    assert len(network.run(inputs)) == 3
+
+
 def test_the_outer_voxels_of_a_box_have_no_loss_but_at_the_grids_faces(make_batch) -> None:
     torch.manual_seed(2)
     network = OctNetFusion(**SMALL, levels=1).double()

@@ -51,6 +51,7 @@ def test_cosine_decay_ends_at_zero_and_halves_on_the_way() -> None:
     ("stages: [{epochs: 0}]", r"stages\[0\].epochs: the value is not allowed"),
     ("stages: [{rate: 1}]", r"stages\[0\].rate: unknown field"),
     ("resolutions: [64, 32]", "resolutions: not coarse to fine"),
+    ("{levels: 2, finer: 2}", "finer: the last level has no next one to read; found 2, expected 0 to 1"),
     ("precision: float16", "precision: the value is not allowed; found 'float16', expected 'float32' or"),
     ("[1]", "not a mapping"),
 ])

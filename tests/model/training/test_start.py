@@ -83,6 +83,25 @@ def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:
         train(tiny, tmp_path / "back", small(start=str(tmp_path / "wider")), device="cpu")
 
 
+@pytest.mark.parametrize("normalise", ["none", "batch"])
+def test_levels_may_begin_to_read_what_is_finer(normalise, tiny, small, tmp_path) -> None:
+    plain = train(tiny, tmp_path / "plain", small(normalise=normalise), device="cpu")
+    settings = small(finer=1, normalise=normalise, stages=[STILL], start=str(tmp_path / "plain"))
+    wider = train(tiny, tmp_path / "wider", settings, device="cpu")
+    first, before = wider.levels[0].first[0].weight, plain.levels[0].first[0].weight
+    assert first.shape[1] == 2 * before.shape[1]
+    assert torch.equal(first[:, :before.shape[1]], before)
+    assert first[:, before.shape[1]:].abs().max() < 1e-6  # counts for nothing yet
+    assert all(torch.equal(value, plain.state_dict()[name]) for name, value in wider.state_dict().items()
+               if name != "levels.0.first.0.weight" and "running" not in name and "num_batches" not in name)
+    more = train(tiny, tmp_path / "more", small(finer=1, normalise=normalise, start=str(tmp_path / "wider")),
+                 device="cpu")
+    assert more.levels[0].first[0].weight[:, before.shape[1]:].abs().max() > 1e-6
+    with pytest.raises(OcnfError, match=r"finer: .*found 1, expected 0"):
+        train(tiny, tmp_path / "back", small(normalise=normalise, start=str(tmp_path / "wider")),
+              device="cpu")
+
+
 def test_batch_normalisation_may_go(tiny, small, make_batch, tmp_path) -> None:
     normalised = train(tiny, tmp_path / "normalised", small(normalise="batch"), device="cpu")
     for level in normalised.levels:  # training this little leaves them near their beginning

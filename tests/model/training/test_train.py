@@ -89,6 +89,20 @@ def test_the_validation_mad_is_that_of_the_shipped_metric(finished, tiny) -> Non
     assert run.headers[1].metrics["mad_mm"] == pytest.approx(sum(mads) / 2, rel=1e-6)
 
 
+def test_a_level_may_be_trained_and_validated_with_what_is_finer(tiny, small, out) -> None:
+    train(tiny, out, small(finer=1, stages=[stage(epochs=2)], best_by="mad"), device="cpu")
+    run = open_run(out)
+    found: list[list[float]] = [[], []]
+    for batch in ShardDataset(tiny, "val", [32, 64], "tsdf", uneven="exact"):
+        inputs = [to_octree_batch(octrees) for octrees in batch.inputs.values()]
+        for mads, made, resolution in zip(found, run.network(inputs), (32, 64), strict=True):
+            truth = to_octree_batch(batch.targets[resolution])
+            mads += mad_mm(made, truth, run.data.tau(resolution)).tolist()
+    expected = [header.metrics["mad_mm"] for header in run.headers]
+    assert [sum(mads) / 2 for mads in found] == pytest.approx(expected, rel=1e-6)
+    assert run.network.levels[0].first[0].weight.shape[1] == 2 * run.network.in_channels
+
+
 def test_a_finished_run_stays_as_it_is(finished, tiny, small) -> None:
     before = snapshot(finished)
     network = train(tiny, finished, small(stages=[stage(epochs=2)], best_by="mad", workers=1), device="cpu")
