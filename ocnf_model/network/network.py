@@ -11,7 +11,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.devices import Precision
 from ocnf_model.network.choices import Carry, Join, Normaliser, Output, choice
-from ocnf_model.network.finer import pooled_encoding
+from ocnf_model.network.finer import GAIN, pooled_encoding
 from ocnf_model.network.level import Level, LevelOutput
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import FusionBlend, concat, split_surface
@@ -95,6 +95,8 @@ class OctNetFusion(nn.Module):
             self.levels.append(Level(
                 read, self.channels, self.join, self.output, 0 if level else context, residual,
                 self.normalise, FusionBlend(self.encoding, column, self.channels[0]) if blend else None))
+            with torch.no_grad():  # new weights are He's for what is read without the gain
+                self.levels[level].first[0].weight[:, column + self.in_channels:] /= GAIN
         self.set_checkpointing(checkpointing)
 
     def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:

@@ -130,7 +130,7 @@ def test_what_is_finer_is_read_as_the_mean_of_eight_voxels(settings) -> None:
     network = OctNetFusion(**SMALL, levels=2, **settings).double().eval()
     volumes = [torch.randn(1, 1, n, n, n).double() for n in (32, 64, 128)][:2 + (settings["finer"] > 1)]
     outputs = network.run([OctreeBatch.full(volume) for volume in volumes])
-    means = [avg_pool3d(volume, 2) for volume in volumes[1:]]
+    means = [8 * avg_pool3d(volume, 2) for volume in volumes[1:]]
 
     first = dense_level(network.levels[0], torch.cat([volumes[0], means[0]], 1), column=0)[1]
     torch.testing.assert_close(outputs[0].raw.to_dense(), first)
@@ -151,8 +151,14 @@ def test_what_only_the_finer_encoding_shows_is_not_averaged_away() -> None:
     read = network.level_input(None, inputs, 0)
     expected = torch.ones(2, 32, 32, 32)
     expected[1, 5, 15, 2] = 0.75
-    torch.testing.assert_close(read.to_dense()[0], expected)
+    torch.testing.assert_close(read.to_dense()[0], expected * torch.tensor([1.0, 8.0])[:, None, None, None])
     assert read.n_leaves == 4**3 + 7 + 7 + 7  # one tree down to voxels, all else as the coarse one
+
+
+def test_new_weights_for_what_is_finer_are_as_large_as_the_others_for_what_was_encoded() -> None:
+    torch.manual_seed(0)
+    weight = OctNetFusion(levels=1, finer=1).levels[0].first[0].weight.detach()
+    assert weight[:, :10].std().item() == pytest.approx(8 * weight[:, 10:].std().item(), rel=0.05)
 
 
 def test_how_many_inputs_are_read() -> None:
