@@ -11,7 +11,7 @@ from ocnf_model.ops import grid_pool
 from ocnf_model.ops.pool import Pooling
 
 GAIN = 8.0
-"""What is read is multiplied by it. In a trained network that begins to read it the weights start at zero, and
+"""What is read is multiplied by it. In a trained network that begins to read it weights start at zero, and
 Adam, whose steps are all alike, would take thousands of them to let them count."""
 _ROOT_ALONE = np.array([1, 0], np.uint64)  # a tree whose root is split and none of its children
 
