@@ -159,6 +159,8 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         levels = level_resolutions(facts, network, resolutions or facts.resolutions[: len(network.levels)])
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
+    if network is not None and levels:
+        notes += _ends_early(network, levels)
     weight = _weights(weights, plans, facts.resolutions, notes)
     origins = Origins(facts, meshes)
     notes += _measured_against(facts, origins, plans)
@@ -195,6 +197,15 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
                         surfaces, f"{model.key}, {plan.variant}", up, captions)
                 progress.advance(task)
     return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}", summarise(ceilings))
+
+
+def _ends_early(network: OctNetFusion, read: Sequence[int]) -> list[str]:
+    """What is said where the data set ends before the network does, which reads one resolution ahead."""
+    reach = network.reach(len(read))
+    if reach in (len(read), len(network.levels)):
+        return []
+    return [f"{Method.OURS.label} ends at {read[reach - 1]}³: its level at {read[reach]}³ also reads the views at "
+            f"{2 * read[-1]}³, which the data set lacks. Generate it with that resolution too."]
 
 
 def _measured_against(facts: DatasetFacts, origins: Origins, plans: Sequence[VariantPlan]) -> list[str]:
