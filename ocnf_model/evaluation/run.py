@@ -204,8 +204,8 @@ def _ends_early(network: OctNetFusion, read: Sequence[int]) -> list[str]:
     reach = network.reach(len(read))
     if reach in (len(read), len(network.levels)):
         return []
-    return [f"{Method.OURS.label} ends at {read[reach - 1]}³: its level at {read[reach]}³ also reads the views at "
-            f"{2 * read[-1]}³, which the data set lacks. Generate it with that resolution too."]
+    return [f"{Method.OURS.label} ends at {read[reach - 1]}³: its level at {read[reach]}³ also reads the "
+            f"views at {2 * read[-1]}³; generate the data set with that resolution too"]
 
 
 def _measured_against(facts: DatasetFacts, origins: Origins, plans: Sequence[VariantPlan]) -> list[str]:

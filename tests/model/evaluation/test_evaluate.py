@@ -169,7 +169,8 @@ def test_a_network_that_reads_what_is_finer_stops_where_the_data_does(
     found = evaluate(network, tiny, methods=["ours"], limit=1)
     rows = [row for row in found.rows if row.variant == "v2" and row.method != TRUTH]
     assert {row.resolution for row in rows} == {32}
-    assert any("Ours ends at 32³: its level at 64³ also reads the views at 128³" in note for note in found.notes)
+    said = "Ours ends at 32³: its level at 64³ also reads the views at 128³"
+    assert any(said in note for note in found.notes)
     key = rows[0].key
     inputs = [OctreeBatch.from_grids([members(key, f"v2-histogram-{resolution}")])
               for resolution in RESOLUTIONS]
