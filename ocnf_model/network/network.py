@@ -92,11 +92,12 @@ class OctNetFusion(nn.Module):
         for level in range(levels):
             column = carried if level else 0  # of the first channel of the encoding
             read = column + (2 if level < finer else 1) * self.in_channels
-            self.levels.append(Level(
+            made = Level(
                 read, self.channels, self.join, self.output, 0 if level else context, residual,
-                self.normalise, FusionBlend(self.encoding, column, self.channels[0]) if blend else None))
-            with torch.no_grad():  # new weights are He's for what is read without the gain
-                self.levels[level].first[0].weight[:, column + self.in_channels:] /= GAIN
+                self.normalise, FusionBlend(self.encoding, column, self.channels[0]) if blend else None)
+            if level < finer:  # new weights are He's for what is read without the gain
+                made.state_dict()["first.0.weight"][:, column + self.in_channels:] /= GAIN
+            self.levels.append(made)
         self.set_checkpointing(checkpointing)
 
     def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:
