@@ -16,6 +16,8 @@ from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.info import layer_table
 from ocnf_model.losses import bce_loss, l1_loss
+from ocnf_model.network.finer import pooled_encoding
+from ocnf_model.ops import grid_pool
 
 SMALL = {"encoding": "tsdf", "channels": (2, 3, 4)}
 
@@ -153,6 +155,21 @@ def test_what_only_the_finer_encoding_shows_is_not_averaged_away() -> None:
     expected[1, 5, 15, 2] = 0.75
     torch.testing.assert_close(read.to_dense()[0], expected * torch.tensor([1.0, 8.0])[:, None, None, None])
     assert read.n_leaves == 4**3 + 7 + 7 + 7  # one tree down to voxels, all else as the coarse one
+
+
+def test_the_pooled_encoding_is_the_mean_with_what_is_alike_joined() -> None:
+    random = np.random.default_rng(0)
+    volume = random.integers(0, 2, (1, 8, 8, 8)).repeat(8, 1).repeat(8, 2).repeat(8, 3)  # whole trees
+    volume[:, :16, :16, :16] = 1
+    volume[:, 40:, 40:] = random.integers(0, 3, (1, 24, 24, 64))  # and voxels
+    batch = OctreeBatch.from_grids([GridOctree.from_dense(volume.astype(np.float32)),
+                                    GridOctree.from_dense(np.ones((1, 64, 64, 64), np.float32))])
+    found, plain = pooled_encoding(batch), grid_pool(batch, "mean")
+    torch.testing.assert_close(found.to_dense(), 8 * plain.to_dense(), rtol=0, atol=0)
+    expected = [GridOctree.from_dense(dense) for dense in found.to_dense().numpy()]
+    roots = [(grid.trees[..., 0] & 1 == 0).sum() for grid in expected]  # trees that are one leaf
+    assert [(grid.trees[..., 0] & 1 == 0).sum() for grid in found.to_grids()] == roots
+    assert 0 < roots[0] < 64 and roots[1] == 64 and found.n_leaves < plain.n_leaves
 
 
 def test_new_weights_for_what_is_finer_are_as_large_as_the_others_for_what_was_encoded() -> None:

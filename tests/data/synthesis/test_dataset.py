@@ -75,12 +75,20 @@ def test_a_sample_depends_on_seed_epoch_and_number_alone(small):
                 np.testing.assert_array_equal(truth.trees, single[key].targets[32].grids()[0].trees)
 
 
-def test_the_ground_truth_may_be_left_out_where_only_the_input_is_read(small):
+def test_the_ground_truth_may_be_left_out_where_only_the_input_is_read(small, monkeypatch):
+    made = []
+
+    def make(manifest, posed, resolutions):
+        made.append(resolutions)
+        return make_truths(manifest, posed, resolutions)
+
+    monkeypatch.setattr("ocnf_data.synthesis.supply.make_truths", make)
     whole, some = (next(iter(open_set(small(), resolutions=[16, 32], targets=targets)))
                    for targets in (True, [16]))
     assert list(some.inputs) == list(whole.targets) == [16, 32] and list(some.targets) == [16]
     assert torch.equal(some.targets[16].data, whole.targets[16].data)
     assert torch.equal(some.inputs[32].data, whole.inputs[32].data)
+    assert set(made) == {(16, 32), (16,)}  # and is not made
 
 
 def test_every_sample_of_an_epoch_is_met_once_and_the_tail_is_marked(small):
