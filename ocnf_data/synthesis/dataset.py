@@ -35,7 +35,6 @@ class SynthesisDataset(DrawnDataset):
     Args:
         manifest: a manifest, the path of its YAML, or `Sources` opened before.
         resolutions: voxels a side, multiples of 8; they need not be the manifest's.
-        targets: those of the resolutions that the ground truth is wanted at; True for all.
         encoding: encoding of the inputs.
         meshes: the folder that the manifest's mesh paths are relative to.
         split: whose mesh files, or which of the shapes' endless rows, are drawn from.
@@ -53,6 +52,7 @@ class SynthesisDataset(DrawnDataset):
         cache: folder for the ground truths that epochs share where the manifest says `repeat`; None makes
             them again every time. It changes nothing but the time.
         samples_per_epoch: number of samples in an epoch, instead of the manifest's.
+        targets: those of the resolutions that the ground truth is wanted at; True for all.
 
     Raises:
         OcnfError: a setting is impossible, the meshes are missing, or nothing is left to draw from.

@@ -38,10 +38,11 @@ def completion_settings(fields: Mapping[str, Any] | None = None,
     Raises:
         OcnfError: a field that is unknown or impossible, by name.
     """
-    if (fields or {}).get("finer"):
+    settings = read_settings({**_DEFAULTS, **(fields or {}), **_FIXED}, where)
+    if settings.finer:
         raise OcnfError("a level of the completion network reads its own resolution alone", where=where,
-                        field="finer", found=(fields or {})["finer"], expected=0)
-    return read_settings({**_DEFAULTS, **(fields or {}), **_FIXED}, where)
+                        field="finer", found=settings.finer, expected=0)
+    return settings
 
 
 def run_completion_training(data: str, out: Path, *, settings: Path | None = None, synthetic: int = 40,

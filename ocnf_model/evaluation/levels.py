@@ -47,9 +47,8 @@ def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch], device: tor
                levels: int | None = None) -> Iterator[Reached]:
     """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at.
 
-    So many levels run, or as many as the inputs are enough for.
-
-    It computes in the network's `precision` where the device is fast in that; results are float32.
+    `levels` of them run; None: as many as the inputs are enough for. It computes in the network's
+    `precision` where the device is fast in that; results are float32.
     """
     inputs = [encoded.to(device) for encoded in inputs]
     precision = network.precision if is_fast(network.precision, device) else Precision.FLOAT32

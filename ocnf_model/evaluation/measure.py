@@ -209,7 +209,7 @@ def level_resolutions(facts: DatasetFacts, network: OctNetFusion, resolutions: S
     Raises:
         OcnfError: they are not enough for the first level.
     """
-    read = [resolutions[0] << i for i in range(network.needs(len(resolutions)))]
+    read = network.reads(resolutions)
     shared = list(takewhile(lambda resolution: resolution in facts.resolutions, read))
     if not network.reach(len(shared)):
         raise OcnfError("the data set lacks the resolution of the network's first level", code="missing",

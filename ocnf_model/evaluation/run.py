@@ -154,13 +154,13 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     chosen = parse_methods([*Method] if methods is None else methods)
     if network is None and methods is None:
         chosen = tuple(method for method in chosen if method is not Method.OURS)
-    levels: list[int] = []
+    read: list[int] = []
     if network is not None and Method.OURS in chosen:
-        levels = level_resolutions(facts, network, resolutions or facts.resolutions[: len(network.levels)])
+        read = level_resolutions(facts, network, resolutions or facts.resolutions[: len(network.levels)])
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
-    if network is not None and levels:
-        notes += _ends_early(network, levels)
+    if network is not None and read:
+        notes += _ends_early(network, read)
     weight = _weights(weights, plans, facts.resolutions, notes)
     origins = Origins(facts, meshes)
     notes += _measured_against(facts, origins, plans)
@@ -175,7 +175,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     with Progress(*columns, console=console, transient=True, disable=console is None) as progress:
         for plan, models in zip(plans, sets, strict=True):
             task = progress.add_task(plan.variant, total=len(models))
-            bench, drawn = Bench(facts, plan, weight, network, levels, origins), set[str]()
+            bench, drawn = Bench(facts, plan, weight, network, read, origins), set[str]()
             for model in models:
                 draw = len(drawn) < n_figures and model.category not in drawn
                 surfaces: dict[tuple[int, str], MeshArrays] = {}

@@ -134,6 +134,10 @@ class OctNetFusion(nn.Module):
         """How many inputs the first `levels` levels read."""
         return levels + (1 if 0 < levels <= self.finer else 0)
 
+    def reads(self, resolutions: Sequence[int]) -> list[int]:
+        """Resolutions of the inputs that levels of these resolutions read, coarse to fine."""
+        return [resolutions[0] << i for i in range(self.needs(len(resolutions)))]
+
     def reach(self, inputs: int) -> int:
         """How many levels can run on the first `inputs` inputs."""
         return max(n for n in range(len(self.levels) + 1) if self.needs(n) <= inputs)

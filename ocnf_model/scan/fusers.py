@@ -121,12 +121,11 @@ class Learned:
         TSDF / tau, or 1 - 2 p of the probability p of being occupied. `report` is told (levels run, levels in
         all) after each.
         """
-        network, size, n_levels = self.network, region.size, len(self.resolutions)
-        read = [self.resolutions[0] << i for i in range(network.needs(n_levels))]
+        network, size = self.network, region.size
         inputs = [OctreeBatch.from_grids([
             fuse(pyramid, network.encoding, resolution, size, self.truncation_voxels * size / resolution,
-                 centre=region.centre)]) for resolution in read]
-        reached = run_levels(network, inputs, next(network.parameters()).device, n_levels)
+                 centre=region.centre)]) for resolution in network.reads(self.resolutions)]
+        reached = run_levels(network, inputs, next(network.parameters()).device, len(self.resolutions))
         octrees = {}
         for resolution, level in zip(self.resolutions, reached, strict=True):
             octrees[resolution] = self._signed(level.reconstruction)

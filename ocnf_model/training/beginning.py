@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch.nn.functional import pad
 
 from ocnf_model.checkpoint import level_architecture, load_level, run_folder, trained_levels
 from ocnf_model.header import Architecture
@@ -41,7 +41,8 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
         weights = given.state_dict()
         if network.normalise is Normaliser.NONE:
             weights = fold_normalisation(weights)
-        weights[_READS] = _widened(weights[_READS], own.state_dict()[_READS].shape[1])
+        new = own.state_dict()[_READS].shape[1] - weights[_READS].shape[1]  # channels, without a say at first
+        weights[_READS] = pad(weights[_READS], (0, 0, 0, 0, 0, 0, 0, new))  # (C_out, C_in, 3, 3, 3)
         own.load_state_dict(weights, strict=False)  # `load_level` has seen to it that nothing else lacks
     return network, n_started
 
@@ -59,10 +60,3 @@ def _given_level(folder: Path, settings: TrainSettings, level: int) -> Level:
     given = network.levels[level]
     assert isinstance(given, Level)
     return given
-
-
-def _widened(weight: Tensor, channels: int) -> Tensor:
-    """A convolution's weight (C_out, C_in, 3, 3, 3) for more channels, the new ones without a say."""
-    wider = weight.new_zeros(len(weight), channels, *weight.shape[2:])
-    wider[:, :weight.shape[1]] = weight
-    return wider

@@ -196,7 +196,7 @@ class TrainSettings(Strict):
 
     @model_validator(mode="after")
     def _something_finer(self) -> TrainSettings:
-        if self.finer >= self.levels and self.finer:
+        if self.finer >= self.levels:
             raise refused("the last level has no next one to read", at="finer", found=self.finer,
                           expected=f"0 to {self.levels - 1}, for {self.levels} levels")
         return self

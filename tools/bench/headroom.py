@@ -68,10 +68,9 @@ def main() -> None:
 @torch.no_grad()
 def figures(run: TrainedRun, data: Path, split: str, name: str) -> Iterator[list[np.ndarray]]:
     """Of each sample the MAD by region (6,) in mm: the network's, VolFus's, and that by mirror images."""
-    levels = run.resolutions
-    tau, read = run.data.tau(levels[-1]), [levels[0] << i for i in range(run.network.needs(len(levels)))]
-    for batch in ShardDataset(str(data), split, read, Encoding.HISTOGRAM, variant=name, targets=levels[-1:],
-                              uneven="exact"):
+    tau, read = run.data.tau(run.resolutions[-1]), run.network.reads(run.resolutions)
+    for batch in ShardDataset(str(data), split, read, Encoding.HISTOGRAM, variant=name,
+                              targets=run.resolutions[-1:], uneven="exact"):
         example = make_example(batch, Output.TSDF, Output.TSDF, torch.device("cpu"))
         encoded = example.encoded
         seen = seen_by(encoded, Encoding.HISTOGRAM)
@@ -84,12 +83,12 @@ def figures(run: TrainedRun, data: Path, split: str, name: str) -> Iterator[list
 
 def by_mirrors(network: OctNetFusion, inputs: Sequence[OctreeBatch]) -> OctreeBatch:
     """The mean of what the network makes of the eight mirror images of a sample."""
-    volumes = []
+    total = np.zeros((1, *inputs[len(network.levels) - 1].shape), np.float32)
     for mirror in MIRRORS:
         moved = [OctreeBatch.from_grids([mirror(grid) for grid in encoded.to_grids()]) for encoded in inputs]
         (found,) = reconstruction(network, moved).to_grids()
-        volumes.append(mirror(found).to_dense())  # (1, D, H, W)
-    return OctreeBatch.from_grids([GridOctree.from_dense(np.mean(volumes, axis=0))])
+        total += mirror(found).to_dense()  # (1, D, H, W)
+    return OctreeBatch.from_grids([GridOctree.from_dense(total / np.float32(len(MIRRORS)))])
 
 
 def reconstruction(network: OctNetFusion, inputs: Sequence[OctreeBatch]) -> OctreeBatch:
