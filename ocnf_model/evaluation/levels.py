@@ -47,7 +47,7 @@ def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch], device: tor
                levels: int | None = None) -> Iterator[Reached]:
     """Run the network, a level a step; inputs coarse to fine. The clock stands while a step is looked at.
 
-    `levels` of them run; None: as many as the inputs are enough for. It computes in the network's
+    `levels` of them run; None: one for each input, all at most. It computes in the network's
     `precision` where the device is fast in that; results are float32.
     """
     inputs = [encoded.to(device) for encoded in inputs]
@@ -55,7 +55,7 @@ def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch], device: tor
     before: LevelOutput | None = None
     seconds = 0.0
     wait_for(device)
-    for level in range(network.reach(len(inputs)) if levels is None else levels):
+    for level in range(min(len(inputs), len(network.levels)) if levels is None else levels):
         start = time.perf_counter()
         size = "x".join(map(str, inputs[level].shape))
         with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"), \

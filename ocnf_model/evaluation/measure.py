@@ -160,9 +160,8 @@ class Bench:
             device = next(self._network.parameters()).device
             batches = [OctreeBatch.from_grids([inputs[resolution]]) for resolution in self._resolutions]
             is_occupancy = self._network.output is Output.OCCUPANCY
-            reached_at = self._resolutions[:self._network.reach(len(batches))]
             levels = run_levels(self._network, batches, device)
-            for resolution, reached in zip(reached_at, levels, strict=True):
+            for resolution, reached in zip(self._resolutions, levels, strict=False):  # it may read one more
                 yield resolution, Field(reached.reconstruction, is_occupancy), reached.seconds
             return
         for resolution, octree in inputs.items():
@@ -207,13 +206,13 @@ def level_resolutions(facts: DatasetFacts, network: OctNetFusion, resolutions: S
         resolutions: those of its levels, coarse to fine.
 
     Raises:
-        OcnfError: they are not enough for the first level.
+        OcnfError: it lacks that of the first level.
     """
     read = network.reads(resolutions)
     shared = list(takewhile(lambda resolution: resolution in facts.resolutions, read))
-    if not network.reach(len(shared)):
+    if not shared:
         raise OcnfError("the data set lacks the resolution of the network's first level", code="missing",
                         where=facts.url, field="resolutions", found=list(facts.resolutions),
-                        expected=" and ".join(map(str, read[:network.needs(1)])),
+                        expected=read[0],
                         fix="generate it, or evaluate other methods")
     return shared

@@ -200,12 +200,11 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
 
 
 def _ends_early(network: OctNetFusion, read: Sequence[int]) -> list[str]:
-    """What is said where the data set ends before the network does, which reads one resolution ahead."""
-    reach = network.reach(len(read))
-    if reach in (len(read), len(network.levels)):
+    """What is said where the network's last level would read one resolution more than the data set has."""
+    if network.needs(min(len(read), len(network.levels))) <= len(read):
         return []
-    return [f"{Method.OURS.label} ends at {read[reach - 1]}³: its level at {read[reach]}³ also reads the "
-            f"views at {2 * read[-1]}³; generate the data set with that resolution too"]
+    return [f"{Method.OURS.label} at {read[-1]}³ also reads the views at {2 * read[-1]}³, which it has "
+            "to guess; it is less exact so: generate the data set with that resolution too"]
 
 
 def _measured_against(facts: DatasetFacts, origins: Origins, plans: Sequence[VariantPlan]) -> list[str]:

@@ -11,7 +11,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.devices import Precision
 from ocnf_model.network.choices import Carry, Join, Normaliser, Output, choice
-from ocnf_model.network.finer import GAIN, pooled_encoding
+from ocnf_model.network.finer import GAIN, guessed_encoding, pooled_encoding
 from ocnf_model.network.level import Level, LevelOutput
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import FusionBlend, concat, split_surface
@@ -51,6 +51,7 @@ class OctNetFusion(nn.Module):
             does not.
         finer: how many levels, from the first on, also read the encoding of the next resolution, the mean of
             eight voxels: one pixel a view and voxel is little where a voxel covers many. 0 in the paper.
+            Where the inputs end before it, it is guessed from their last one, which costs most of the gain.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
         extra_channels: channels that every input has behind the encoding's, 0 or more.
 
@@ -120,11 +121,11 @@ class OctNetFusion(nn.Module):
             inputs: encoded views, an `OctreeBatch` for each level, coarse to fine.
             frozen: levels before this one run without gradients: to train level l (from 0) alone, pass
                 `frozen=l` and `levels=l + 1` and take the last output.
-            levels: how many levels run; None: as many as the inputs are enough for.
+            levels: how many levels run; None: one for each input, all at most.
         """
         self._check(inputs)
         outputs: list[LevelOutput] = []
-        for level in range(self.reach(len(inputs)) if levels is None else levels):
+        for level in range(min(len(inputs), len(self.levels)) if levels is None else levels):
             with torch.set_grad_enabled(torch.is_grad_enabled() and level >= frozen):
                 x = self.level_input(outputs[-1] if outputs else None, inputs, level)
                 outputs.append(self.levels[level](x))
@@ -138,19 +139,19 @@ class OctNetFusion(nn.Module):
         """Resolutions of the inputs that levels of these resolutions read, coarse to fine."""
         return [resolutions[0] << i for i in range(self.needs(len(resolutions)))]
 
-    def reach(self, inputs: int) -> int:
-        """How many levels can run on the first `inputs` inputs."""
-        return max(n for n in range(len(self.levels) + 1) if self.needs(n) <= inputs)
-
     def level_input(self, before: LevelOutput | None, inputs: Sequence[OctreeBatch],
                     level: int) -> OctreeBatch:
         """What a level (from 0) reads, side by side.
 
         What the level before carries up, if there is one; the encoding; and for the first `finer` levels that
-        of the next resolution, pooled, on a structure that is at least as fine as each of the three.
+        of the next resolution, pooled, or guessed where the inputs end; on a structure that is at least as
+        fine as each of the three.
         """
         encoded = inputs[level]
-        finer = pooled_encoding(inputs[level + 1]) if level < self.finer else None
+        finer = None
+        if level < self.finer:
+            known = level + 1 < len(inputs)
+            finer = pooled_encoding(inputs[level + 1]) if known else guessed_encoding(encoded, self.encoding)
         structure = encoded.structure if finer is None else encoded.structure.union(finer.structure)
         if before is None:
             x = encoded.refined(structure)
@@ -183,10 +184,10 @@ class OctNetFusion(nn.Module):
                 module.checkpointing = on
 
     def _check(self, inputs: Sequence[OctreeBatch]) -> None:
-        least, most = self.needs(1), self.needs(len(self.levels))
-        if not least <= len(inputs) <= most:
+        most = self.needs(len(self.levels))
+        if not 0 < len(inputs) <= most:
             raise OcnfError("a wrong number of inputs", where="OctNetFusion", field="inputs",
-                            found=len(inputs), expected=f"{least} to {most}, coarse to fine")
+                            found=len(inputs), expected=f"1 to {most}, coarse to fine")
         for level, encoded in enumerate(inputs):
             field = f"inputs[{level}]"
             if encoded.channels != self.in_channels:

@@ -11,12 +11,15 @@ import torch
 from torch.nn.functional import avg_pool3d, batch_norm, conv3d, interpolate, linear, max_pool3d
 
 import ocnf_model
+from ocnf_data import Views
+from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.fusion import fuse
 from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.info import layer_table
 from ocnf_model.losses import bce_loss, l1_loss
-from ocnf_model.network.finer import pooled_encoding
+from ocnf_model.network.finer import guessed_encoding, pooled_encoding
 from ocnf_model.ops import grid_pool
 
 SMALL = {"encoding": "tsdf", "channels": (2, 3, 4)}
@@ -180,14 +183,51 @@ def test_new_weights_for_what_is_finer_are_as_large_as_the_others_for_what_was_e
 
 def test_how_many_inputs_are_read() -> None:
     plain, finer = OctNetFusion(**SMALL), OctNetFusion(**SMALL, finer=2)
-    assert [plain.needs(n) for n in range(4)] == [plain.reach(n) for n in range(4)] == [0, 1, 2, 3]
+    assert [plain.needs(n) for n in range(4)] == [0, 1, 2, 3]
     assert [finer.needs(n) for n in range(4)] == [0, 2, 3, 3]
-    assert [finer.reach(n) for n in range(4)] == [0, 0, 1, 3]
     volumes = [OctreeBatch.full(torch.zeros(1, 1, n, n, n)) for n in (32, 64)]
-    assert len(finer(volumes)) == 1
-    assert len(OctNetFusion(**SMALL, levels=1, finer=2)(volumes)) == 1
-    with pytest.raises(OcnfError, match="found 1, expected 2 to 3, coarse to fine"):
-        finer(volumes[:1])
+    assert len(finer(volumes)) == 2
+    one = OctNetFusion(**SMALL, levels=1, finer=2)
+    assert len(one(volumes)) == len(one(volumes[:1])) == 1
+    with pytest.raises(OcnfError, match="found 3, expected 1 to 2, coarse to fine"):
+        one([*volumes, volumes[1]])
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_where_the_inputs_end_the_next_is_guessed_from_votes_as_they_fall(encoding: Encoding) -> None:
+    """One view of a wall, fused with the truncation and with half of it: where one vote tells the other."""
+    depth = np.full((1, 48, 48), 2.0, np.float32)
+    depth[:, :, 24:] = 2.1
+    intrinsics = np.array([[60, 0, 23.5], [0, 60, 23.5], [0, 0, 1.0]])
+    views = Views(depth, intrinsics[None], np.eye(3)[None], np.array([[0.0, 0.0, 2.0]]))
+    whole, half = (OctreeBatch.from_grids([fuse(views, encoding, 32, 1.0, tau)]) for tau in (0.2, 0.1))
+    guess = guessed_encoding(whole, encoding).to_dense()[0] / 8
+    expected = half.to_dense()[0]
+    if encoding is Encoding.OCCUPANCY:  # what is within the truncation of a surface: half is not known
+        expected = whole.to_dense()[0]
+    if encoding is Encoding.HISTOGRAM:
+        torch.testing.assert_close(guess.sum(0), torch.ones(32, 32, 32))
+        assert guess.min() >= 0
+        centres = torch.linspace(-1.125, 1.125, 10)
+        guess, expected = (torch.tensordot(centres, x, 1) for x in (guess, expected))
+        near = expected.abs() < 0.6  # beyond it a part of a vote is cut off
+        assert near.sum() > 2000
+        torch.testing.assert_close(guess[near], expected[near], rtol=0, atol=1e-5)
+        torch.testing.assert_close(guess, expected, rtol=0, atol=0.2)  # less than a bin
+    else:
+        torch.testing.assert_close(guess, expected, rtol=0, atol=1e-5)
+    assert len(expected.unique()) > 3 or encoding is Encoding.OCCUPANCY
+
+
+def test_where_the_inputs_end_the_guess_is_read_in_place_of_the_next() -> None:
+    network = OctNetFusion(**SMALL, levels=2, finer=2, extra_channels=1).double().eval()
+    torch.manual_seed(0)
+    volumes = [torch.randn(1, 2, n, n, n).double() for n in (32, 64)]
+    volumes.append(interpolate(volumes[1], scale_factor=2, mode="nearest"))
+    volumes[2][:, 0] = (2 * volumes[2][:, 0]).clamp(-1, 1)
+    inputs = [OctreeBatch.full(volume) for volume in volumes]
+    for known, guessed in zip(network(inputs), network(inputs[:2]), strict=True):
+        torch.testing.assert_close(guessed.to_dense(), known.to_dense())
 
 
 def test_the_loss_falls(inputs) -> None:
