@@ -11,9 +11,24 @@ from ocnf_model.checkpoint import level_architecture, load_level, run_folder, tr
 from ocnf_model.header import Architecture
 from ocnf_model.network import Level, Normaliser, OctNetFusion, fold_normalisation
 from ocnf_model.ops import FusionBlend
-from ocnf_model.training.settings import TrainSettings
+from ocnf_model.training.settings import TrainSettings, read_settings
 
 _READS = "first.0.weight"
+
+
+def like_the_start(settings: TrainSettings) -> TrainSettings:
+    """The settings; the architecture, where they do not say it, is that of the run that they start from.
+
+    Raises:
+        OcnfError: that run is missing or damaged, or what they say does not go together with what it is.
+    """
+    if settings.start is None:
+        return settings
+    there = level_architecture(run_folder(settings.start), 0)
+    there = there.model_copy(update={"finer": min(there.finer, settings.levels)})
+    taken = {name: value for name, value in there.model_dump(mode="json").items()
+             if name not in settings.model_fields_set}
+    return read_settings({**settings.to_dict(), **taken}, f"settings as in {settings.start}")
 
 
 def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
@@ -50,10 +65,11 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
 def _given_level(folder: Path, settings: TrainSettings, level: int) -> Level:
     """A level (from 0) of the run to start from: as the settings say, but for what may lack."""
     wanted, there = Architecture.of(settings), level_architecture(folder, level)
+    may_begin = level < wanted.finer or level >= there.finer  # to read one resolution more, or not to
     network = wanted.model_copy(update={
         "blend": wanted.blend and there.blend,
         "context": wanted.context if there.context else 0,
-        "finer": min(wanted.finer, there.finer),
+        "finer": there.finer if may_begin else wanted.finer,
         "normalise": there.normalise if wanted.normalise is Normaliser.NONE else wanted.normalise,
     }).network(level + 1)
     load_level(folder, network, level)

@@ -39,7 +39,7 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
     stages = [settings.stage(level).model_dump()
               | {name: values[min(level, len(values) - 1)] for name, values in lists.items()}
               for level in range(n_stages)]
-    return read_settings({**settings.to_dict(), "stages": stages}, where)
+    return read_settings({**fields, "stages": stages}, where)
 
 
 def parse_list(name: str, text: str) -> list[int | float]:

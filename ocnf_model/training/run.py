@@ -29,7 +29,7 @@ from ocnf_model.checkpoint import load_level
 from ocnf_model.devices import memory_errors
 from ocnf_model.header import TrainingData
 from ocnf_model.network import OctNetFusion, Output
-from ocnf_model.training.beginning import first_network
+from ocnf_model.training.beginning import first_network, like_the_start
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import SAMPLES, VALIDATION, DataSource, StoredData, open_data
 from ocnf_model.training.epochs import change_epochs, changed_epochs
@@ -69,7 +69,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
     """
     folder = Path(out)
     console = console or Console(stderr=True, emoji=False)
-    asked = settings or TrainSettings()
+    asked = like_the_start(settings or TrainSettings())
     with join_world(device) as world:
         if isinstance(data, str | Path):
             source = open_data(str(data), asked, None if meshes is None else Path(meshes),

@@ -140,8 +140,8 @@ class TrainSettings(Strict):
     """Each level blends its TSDF with that of plain fusion, with a weight of its own for every voxel; the
     paper's does not."""
     finer: Annotated[Int, Field(ge=0, le=16)] = 0
-    """How many levels, from the first on and never the last, also read the encoding of the next resolution,
-    as the mean of eight voxels; 0 for none (the paper)."""
+    """How many levels, from the first on, also read the encoding of the next resolution, as the mean of eight
+    voxels, or guess it where the data has none; 0 for none (the paper)."""
     blend_from: Annotated[Real, Field(gt=0, lt=1)] = 0.05
     """Share of plain fusion that a new blend begins with: little for few views, which leave much unseen, most
     for the many frames of a scan."""
@@ -154,9 +154,9 @@ class TrainSettings(Strict):
         Stage(epochs=50, batch_size=4, accumulate=1), Stage(), Stage())
     """Settings for each level; the last ones hold for all levels that follow."""
     start: str | None = None
-    """A run of the same architecture (`blend`, `context`, `finer` may be new, batch normalisation may go), or
-    `pretrained`, whose weights the levels begin with; None, and for levels that it lacks: random ones for the
-    first, those of the level before for later ones."""
+    """A run, or `pretrained`, whose weights the levels begin with; None, and for levels that it lacks: random
+    ones for the first, those of the level before for later ones. What the settings leave out of the
+    architecture is as it is there; `blend`, `context` and `finer` may be new, batch normalisation may go."""
     seed: Annotated[Int, Field(ge=0)] = 0
     """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE
@@ -195,10 +195,10 @@ class TrainSettings(Strict):
         return self
 
     @model_validator(mode="after")
-    def _something_finer(self) -> TrainSettings:
-        if self.finer >= self.levels:
-            raise refused("the last level has no next one to read", at="finer", found=self.finer,
-                          expected=f"0 to {self.levels - 1}, for {self.levels} levels")
+    def _as_many_levels(self) -> TrainSettings:
+        if self.finer > self.levels:
+            raise refused("there are not as many levels", at="finer", found=self.finer,
+                          expected=f"0 to {self.levels}")
         return self
 
     @model_validator(mode="after")
@@ -238,7 +238,10 @@ class TrainSettings(Strict):
 
     def up_to(self, level: int, manifest: Mapping[str, Any]) -> list[int]:
         """The resolutions that a level (from 0) reads: its own, those before, and perhaps the next."""
-        return self._grids(manifest)[:level + (2 if level < self.finer else 1)]
+        read = self._grids(manifest)[:level + 1]
+        if level < self.finer and 2 * read[-1] in manifest["resolutions"]:
+            read.append(2 * read[-1])
+        return read
 
     def own(self, level: int, manifest: Mapping[str, Any]) -> list[int]:
         """The resolution of a level (from 0), in a list: that of the ground truth."""

@@ -51,7 +51,7 @@ def test_cosine_decay_ends_at_zero_and_halves_on_the_way() -> None:
     ("stages: [{epochs: 0}]", r"stages\[0\].epochs: the value is not allowed"),
     ("stages: [{rate: 1}]", r"stages\[0\].rate: unknown field"),
     ("resolutions: [64, 32]", "resolutions: not coarse to fine"),
-    ("{levels: 2, finer: 2}", "finer: the last level has no next one to read; found 2, expected 0 to 1"),
+    ("{levels: 2, finer: 3}", "finer: there are not as many levels; found 3, expected 0 to 2"),
     ("precision: float16", "precision: the value is not allowed; found 'float16', expected 'float32' or"),
     ("[1]", "not a mapping"),
 ])
@@ -60,6 +60,14 @@ def test_a_wrong_field_is_named(text: str, message: str, tmp_path: Path) -> None
     file.write_text(text)
     with pytest.raises(OcnfError, match=f"settings.yaml: {message}"):
         merge_options(file, {}, {})
+
+
+def test_the_next_resolution_is_read_where_there_is_one() -> None:
+    settings = read_settings({"levels": 2, "finer": 2}, "test")
+    there = {"resolutions": [64, 128, 256]}
+    assert [settings.up_to(level, there) for level in (0, 1)] == [[64, 128], [64, 128, 256]]
+    assert [settings.up_to(level, {"resolutions": [64, 128]}) for level in (0, 1)] == [[64, 128], [64, 128]]
+    assert settings.own(1, there) == [128]
 
 
 def test_a_list_that_is_none_is_named() -> None:

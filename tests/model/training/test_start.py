@@ -9,7 +9,9 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import checkpoint_path, load_run, save_checkpoint
 from ocnf_model.header import parse_header
 from ocnf_model.tensorfile import read_header
+from ocnf_model.training.options import merge_options
 from ocnf_model.training.run import train
+from ocnf_model.training.settings import Stage
 
 STILL = {"epochs": 1, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-30, "weight_decay": 0}
 """A rate so small that the weights stay where they begin."""
@@ -49,7 +51,7 @@ def test_a_blend_may_be_added_to_a_network_without(tiny, small, tmp_path) -> Non
     assert same(train(tiny, tmp_path / "still", still, device="cpu"), more)
     assert more.levels[0].blend.gate.weight.abs().max() > 1e-6
     with pytest.raises(OcnfError, match=r"blend: .*found True, expected False"):
-        train(tiny, tmp_path / "back", small(start=str(tmp_path / "blended")), device="cpu")
+        train(tiny, tmp_path / "back", small(blend=False, start=str(tmp_path / "blended")), device="cpu")
 
 
 def test_a_share_that_does_not_learn_stays_and_the_rest_goes_on(tiny, small, tmp_path) -> None:
@@ -80,7 +82,7 @@ def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:
     assert same(wider, plain)
     assert wider.levels[0].context.out.weight.abs().max() < 1e-6
     with pytest.raises(OcnfError, match=r"context: .*found 16, expected 0"):
-        train(tiny, tmp_path / "back", small(start=str(tmp_path / "wider")), device="cpu")
+        train(tiny, tmp_path / "back", small(context=0, start=str(tmp_path / "wider")), device="cpu")
 
 
 @pytest.mark.parametrize("normalise", ["none", "batch"])
@@ -98,7 +100,7 @@ def test_levels_may_begin_to_read_what_is_finer(normalise, tiny, small, tmp_path
                  device="cpu")
     assert more.levels[0].first[0].weight[:, before.shape[1]:].abs().max() > 1e-6
     with pytest.raises(OcnfError, match=r"finer: .*found 1, expected 0"):
-        train(tiny, tmp_path / "back", small(normalise=normalise, start=str(tmp_path / "wider")),
+        train(tiny, tmp_path / "back", small(finer=0, normalise=normalise, start=str(tmp_path / "wider")),
               device="cpu")
 
 
@@ -115,7 +117,7 @@ def test_batch_normalisation_may_go(tiny, small, make_batch, tmp_path) -> None:
         path = checkpoint_path(tmp_path / "normalised", number)
         header = parse_header(path, read_header(path))
         save_checkpoint(tmp_path / "normalised", header, level.state_dict())
-    settings = small(stages=[STILL], start=str(tmp_path / "normalised"))
+    settings = small(normalise="none", stages=[STILL], start=str(tmp_path / "normalised"))
     folded = train(tiny, tmp_path / "folded", settings, device="cpu")
     assert not any(isinstance(part, torch.nn.BatchNorm1d) for part in folded.modules())
     inputs = [make_batch(level, (4 << level,) * 3, 2, normalised.in_channels, 0.3, torch.float32)
@@ -125,6 +127,25 @@ def test_batch_normalisation_may_go(tiny, small, make_batch, tmp_path) -> None:
             torch.testing.assert_close(ours.to_dense(), theirs.to_dense(), rtol=1e-4, atol=1e-4)
     with pytest.raises(OcnfError, match=r"normalise: .*found none, expected batch"):
         train(tiny, tmp_path / "back", small(normalise="batch", start=str(tmp_path / "folded")), device="cpu")
+
+
+def test_what_is_not_said_of_the_architecture_is_as_in_the_run_to_start_from(tiny, small, tmp_path) -> None:
+    fields = {"channels": [2, 3, 5], "join": "add", "context": 16, "residual": True, "finer": 2}
+    first = train(tiny, tmp_path / "first", small(**fields), device="cpu")
+    bare = merge_options(None, {"start": str(tmp_path / "first"), "levels": 2, "workers": 0},
+                         {"epochs": "1", "learning_rate": "1e-30"})
+    second = train(tiny, tmp_path / "second", bare, device="cpu")
+    assert same(second, first)
+    header = read_header(checkpoint_path(tmp_path / "second", 1))
+    assert header["settings"]["encoding"] == "tsdf" and header["settings"]["residual"] is True
+    one = merge_options(None, {"start": str(tmp_path / "first"), "levels": 1, "workers": 0},
+                        {"epochs": "1", "learning_rate": "1e-30"})
+    third = train(tiny, tmp_path / "third", one, device="cpu")  # whose second level read ahead too
+    assert third.finer == 1 and same(third.levels[0], first.levels[0])
+    cut = merge_options(None, {"start": str(tmp_path / "first"), "levels": 2}, {})
+    cut = cut.model_copy(update={"stages": (Stage(crop=64),)})
+    with pytest.raises(OcnfError, match=r"settings as in .*first: stages\[0\].crop: .* needs the whole grid"):
+        train(tiny, tmp_path / "cut", cut, device="cpu")
 
 
 def test_another_network_is_refused_before_anything_is_written(tiny, small, tmp_path) -> None:
