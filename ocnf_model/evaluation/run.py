@@ -160,7 +160,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     plans, notes = plan_variants(facts, chosen, None if network is None else network.encoding,
                                  required=methods is not None)
     if network is not None and read:
-        notes += _ends_early(network, read)
+        notes += _has_to_guess(network, read)
     weight = _weights(weights, plans, facts.resolutions, notes)
     origins = Origins(facts, meshes)
     notes += _measured_against(facts, origins, plans)
@@ -199,7 +199,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
     return Evaluation(rows, summarise(rows), notes, figures, title or f"{data}, {split}", summarise(ceilings))
 
 
-def _ends_early(network: OctNetFusion, read: Sequence[int]) -> list[str]:
+def _has_to_guess(network: OctNetFusion, read: Sequence[int]) -> list[str]:
     """What is said where the network's last level would read one resolution more than the data set has."""
     if network.needs(min(len(read), len(network.levels))) <= len(read):
         return []

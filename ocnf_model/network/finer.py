@@ -15,7 +15,6 @@ from ocnf_model.ops.pool import Pooling
 GAIN = 8.0
 """What is read is multiplied by it. In a trained network that begins to read it weights start at zero, and
 Adam, whose steps are all alike, would take thousands of them to let them count."""
-_N_BINS = Encoding.HISTOGRAM.channels
 _ROOT_ALONE = np.array([1, 0], np.uint64)  # a tree whose root is split and none of its children
 
 
@@ -64,6 +63,7 @@ def guessed_encoding(encoded: OctreeBatch, encoding: Encoding) -> OctreeBatch:
 
 def _votes_at_half_the_truncation() -> Tensor:
     """(10, 10): where the votes of each bin fall (SEMANTICS 2) if the truncation is half as far."""
-    last = _N_BINS - 1
-    places = (2 * torch.arange(_N_BINS) - last / 2).clamp(0, last)  # of twice the centres, in bins
-    return (1 - (places[:, None] - torch.arange(_N_BINS)).abs()).clamp(min=0)
+    bins = torch.arange(Encoding.HISTOGRAM.channels)
+    middle = bins[-1] / 2
+    places = (2 * bins - middle).clamp(bins[0], bins[-1])  # of twice the centres, in bins
+    return (1 - (places[:, None] - bins).abs()).clamp(min=0)
