@@ -25,6 +25,7 @@ _COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FLOAT = 5126
+_ONE = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}  # what stands for 1 in normalised positions
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _POSITION_BYTES = 12
 # Bytes used several times are legal, a thousand copies of a file are not. Small files may repeat more.
@@ -147,6 +148,10 @@ def _primitives(header: dict[str, Any], mesh: dict[str, Any], where: str) -> Ite
                 indices = _index(indices, accessors, "a primitive's indices", where)
                 if accessors[indices]["type"] != "SCALAR" or accessors[indices]["componentType"] == _FLOAT:
                     raise unreadable("indices are not whole numbers", where, found=f"accessor {indices}")
+            sparse = [a for a in (position, indices) if a is not None and "sparse" in accessors[a]]
+            if sparse:  # trimesh would read what lies under the changes
+                raise unreadable("sparse accessors are not supported", where, found=f"accessor {sparse[0]}",
+                                 expected="one exported without them")
             yield _Primitive(position, indices, mode)
 
 
@@ -233,10 +238,17 @@ def _decode(header: dict[str, Any], binary: bytes, primitives: list[_Primitive],
         mesh = geometry.get(str(number))
         if isinstance(mesh, trimesh.Trimesh):
             faces = check_indices(np.asarray(mesh.faces), len(mesh.vertices), where)
-            found[primitive] = np.asarray(mesh.vertices, np.float64), faces
+            points = np.asarray(mesh.vertices, np.float64)
+            found[primitive] = _in_units(points, header["accessors"][primitive.position]), faces
         else:  # no vertex, or what trimesh makes no triangles of
             found[primitive] = np.empty((0, 3)), np.empty((0, 3), np.int64)
     return found
+
+
+def _in_units(points: F64, accessor: dict[str, Any]) -> F64:
+    """Positions that are normalised integers (KHR_mesh_quantization) as what they stand for, at least -1."""
+    one = _ONE.get(accessor["componentType"])
+    return np.maximum(points / one, -1.0) if one and accessor.get("normalized") is True else points
 
 
 def _objects(parent: dict[str, Any], name: str, where: str) -> list[dict[str, Any]]:

@@ -119,6 +119,8 @@ def test_refused_with_a_code(tmp_path, name, content, code):
     (lambda h: h["meshes"][0]["primitives"][0].update(mode=1), "empty"),
     (lambda h: h["buffers"][0].update(uri="file:///dev/zero"), "unreadable"),
     (lambda h: h.update(extensionsRequired=["KHR_draco_mesh_compression"]), "unreadable"),
+    (lambda h: h["accessors"][0].update(sparse={"count": 1}), "unreadable"),
+    (lambda h: h["accessors"][1].update(sparse={"count": 1}), "unreadable"),
     (lambda h: h.update(nodes=[{}] * 20000), "too_large"),
     (lambda h: h.update(nodes=7), "unreadable"),
 ])

@@ -115,6 +115,27 @@ def test_glb_with_transforms(tmp_path, valid):
     np.testing.assert_array_equal(mesh.faces, TETRA_F)
 
 
+@pytest.mark.parametrize(("kind", "dtype", "one"), [(5120, "<i1", 127), (5121, "<u1", 255), (5122, "<i2", 32767),
+                                                    (5123, "<u2", 65535)])
+@pytest.mark.parametrize("normalised", [True, False])
+def test_glb_of_quantised_positions(tmp_path, tetra, kind, dtype, one, normalised):
+    """KHR_mesh_quantization: whole numbers stand for themselves, or normalised for -1 or 0 to 1."""
+    header = tetra.header()
+    low = 0 if dtype[1] == "u" else np.iinfo(dtype).min  # which stands for -1, as its successor does
+    quantised = np.array([[0, 0, 0], [one, 0, low], [0, one, 0], [one // 2, 0, one]])
+    rows = np.zeros((4, 4), dtype)  # a stride of four numbers, as alignment asks for
+    rows[:, :3] = quantised
+    blob = rows.tobytes() + tetra.blob[48:]
+    header["buffers"][0]["byteLength"] = len(blob)
+    header["bufferViews"][0].update(byteLength=rows.nbytes, byteStride=rows.strides[0])
+    header["bufferViews"][1]["byteOffset"] = rows.nbytes
+    header["accessors"][0].update(componentType=kind, normalized=normalised)
+    header["extensionsRequired"] = ["KHR_mesh_quantization"]
+    mesh = read(tmp_path, "x.glb", tetra.glb(header, blob))
+    local = np.maximum(quantised / one, -1) if normalised else quantised
+    np.testing.assert_allclose(mesh.vertices, 2 * local + [1, 2, 3], rtol=1e-12)
+
+
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), suffix=st.sampled_from([".ply", ".obj", ".glb", ".off", ".stl"]))
 def test_what_is_written_is_read(tmp_path, data, suffix):
