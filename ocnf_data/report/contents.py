@@ -109,8 +109,12 @@ class Contents:
         return mean
 
     def points(self, name: str, views: Views, caption: str = "") -> None:
-        """Add the measured points of some views; their distance to the reference is their colour."""
+        """Add the measured points of some views; their distance to the reference is their colour.
+
+        Those beyond the cube, as frames of a scan have them, are left out.
+        """
         points = seen_points(views, _POINTS)
+        points = points[(np.abs(points) <= self.scale.extent / 2).all(axis=1)]
         cell = np.floor((points / self.scale.extent + 0.5) * 48).astype(np.int64)
         points = points[np.lexsort((points[:, 2], cell[:, 0], cell[:, 1], cell[:, 2]))]
         at = f"surface{len(self._shown)}"
@@ -151,12 +155,18 @@ class Contents:
         return pack(self._arrays, meta)
 
 
-def signed_surface(octree: GridOctree, encoding: Encoding, extent: float) -> Triangles:
-    """The surface of an octree of any encoding: where the number that stands for its distance is 0."""
+def signed_surface(octree: GridOctree, encoding: Encoding, extent: float,
+                   known: GridOctree | None = None) -> Triangles:
+    """The surface of an octree of any encoding: where the number that stands for its distance is 0.
+
+    With `known`, a TSDF / tau, the part of it between voxels that `known` has a measurement of.
+    """
     from ocnf_data.octree.surface import octree_surface
+    from ocnf_data.sequences.known import known_surface
 
     signed = octree.with_data(np.ascontiguousarray(as_distance(octree.data, encoding)[:, None], np.float32))
-    return Triangles(*octree_surface(signed, extent))
+    return Triangles(*(octree_surface(signed, extent) if known is None else
+                       known_surface(signed, extent, known)))
 
 
 def as_webp(picture: U8, width: int | None = None) -> bytes:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.remake import Remade, remake, remake_from_surface
 from ocnf_data.manifest import Manifest, Variant
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
 from ocnf_data.render.pictures import busiest_plane, depth_scale
 from ocnf_data.render.shade import best_azimuth, shade
@@ -24,6 +25,7 @@ from ocnf_data.shards.tarformat import input_member, target_member
 
 THUMBNAIL = 200  # pixels
 MESH, NOISY, VOLFUS, TRUTH_NAME = "Mesh", "Noisy input", "VolFus", "Ground truth"
+_SCAN = "All frames"  # in the place of a mesh
 _SLICED = 1  # planes of equal y
 _VOXELS_OF_ERROR = 3  # at the end of the colour scale
 _FUSED = (Encoding.TSDF, Encoding.HISTOGRAM, Encoding.TDF_OCCUPANCY, Encoding.OCCUPANCY)
@@ -96,7 +98,8 @@ def make_card(sample: StoredSample, manifest: Manifest, choice: Choice, meshes: 
     """
     picture = make_picture(sample, manifest, choice, meshes, [stored_fusion(sample, choice)])
     facts, entry = sample.facts, sample.entry
-    values = [sum(member.size for member in entry.members) / 1e3, facts["mesh"]["n_faces"],
+    triangles = facts["mesh"]["n_faces"] if "mesh" in facts else None  # a scan has no mesh
+    values = [sum(member.size for member in entry.members) / 1e3, triangles,
               100 * facts["coverage"], 100 * picture.filled, picture.errors[0]]
     return Card(sample.key, sample.split, entry.category, entry.source,
                 [None if value is None else float(value) for value in values],
@@ -131,17 +134,19 @@ def make_picture(sample: StoredSample, manifest: Manifest, choice: Choice, meshe
     Raises:
         OcnfError: the sample is damaged; `meshes` is given and the mesh is not there or has changed.
     """
-    extent = manifest.normalise.extent
     kind = Encoding.TSDF if manifest.target == "tsdf" else Encoding.OCCUPANCY
     truth = sample.octree(target_member(choice.resolution))
-    surface = signed_surface(truth, kind, extent)
+    surface = _surface(sample, manifest, truth, kind)
     remade, is_mesh = _remade(sample, manifest, meshes, surface)
     contents = Contents(page_scale(manifest, choice), Deviation(surface))
-    if is_mesh:
+    if isinstance(manifest.source, SequenceSource):
+        contents.surface(_SCAN, Triangles(remade.vertices, remade.mesh.faces), "plain fusion of the scan",
+                         compare=False)
+    elif is_mesh:
         contents.surface(MESH, Triangles(remade.vertices, remade.mesh.faces), "as it was read and normalised",
                          flat=True, compare=False)
-    add_views(contents, remade, manifest, choice.variant, is_mesh)
-    errors = [contents.surface(one.name, signed_surface(one.octree, one.encoding, extent), one.caption)
+    add_views(contents, remade, choice.variant, sample.facts["inputs"][choice.variant.name], is_mesh)
+    errors = [contents.surface(one.name, _surface(sample, manifest, one.octree, one.encoding), one.caption)
               for one in reconstructions]
     contents.surface(TRUTH_NAME, surface, f"{kind}, {choice.resolution}³", compare=False)
     add_slices(contents, [*reconstructions, Reconstructed(TRUTH_NAME, truth, kind)])
@@ -153,21 +158,27 @@ def make_picture(sample: StoredSample, manifest: Manifest, choice: Choice, meshe
     return Picture(thumbnail, blob, errors, float(truth.n_leaves / np.prod(truth.shape)))
 
 
-def add_views(contents: Contents, remade: Remade, manifest: Manifest, variant: Variant,
+def add_views(contents: Contents, remade: Remade, variant: Variant, facts: Mapping[str, Any],
               is_mesh: bool) -> None:
-    """Add the input's points, and its depth maps after the first one without noise."""
-    indices = manifest.view_indices(variant)
-    observed = remade.observed[variant.name]
+    """Add the input's points, and its depth maps after the first one without noise.
+
+    `facts` are the sample's of the input: its views, and of scans their frames' names.
+    """
+    indices, observed = facts["views"], remade.observed[variant.name]
     noise = f"sigma {variant.sigma:g}" if variant.noise == "park" else \
         f"{variant.noise}, strength {variant.strength:g}"
     of_what = "" if is_mesh else ", of the ground truth's surface in place of the mesh"
-    contents.points(NOISY, observed, f"{len(indices)} views, {noise}{of_what}")
+    caption = f"{len(indices)} views, {noise}{of_what}"
+    titles = [f"view {indices[0]} without noise", *(f"view {view}, {noise}" for view in indices)]
+    if "frames" in facts:
+        caption = f"{len(indices)} frames"
+        titles = [f"{facts['frames'][0]}, as measured", *facts["frames"]]
+    contents.points(NOISY, observed, caption)
     clean = remade.views.depth[list(indices)]
     hit = clean[np.isfinite(clean) & (clean > 0)]
     limits = (float(hit.min()), float(hit.max())) if hit.size else (0.0, 1.0)
-    contents.depth(f"view {indices[0]} without noise", clean[0], limits)
-    for view, depth in zip(indices, observed.depth, strict=True):
-        contents.depth(f"view {view}, {noise}", depth, limits)
+    for title, depth in zip(titles, [clean[0], *observed.depth], strict=True):
+        contents.depth(title, depth, limits)
 
 
 def add_slices(contents: Contents, reconstructions: Sequence[Reconstructed]) -> None:
@@ -179,6 +190,13 @@ def add_slices(contents: Contents, reconstructions: Sequence[Reconstructed]) -> 
         plane, share = int(share_of_side * n), one.octree.n_leaves / np.prod(one.octree.shape)
         contents.slice(one.name, f"{n}³, y = {plane}: {one.octree.n_leaves:,} leaves, {share:.1%} of the "
                        "voxels", one.octree, _SLICED, plane, one.encoding)
+
+
+def _surface(sample: StoredSample, manifest: Manifest, octree: GridOctree, encoding: Encoding) -> Triangles:
+    """Of a scan without the walls around what no frame has seen, which would hide it."""
+    partly = isinstance(manifest.source, SequenceSource) and manifest.target == "tsdf"
+    known = sample.octree(target_member(octree.shape[0])) if partly else None
+    return signed_surface(octree, encoding, manifest.normalise.extent, known)
 
 
 def _remade(sample: StoredSample, manifest: Manifest, meshes: Path | None,

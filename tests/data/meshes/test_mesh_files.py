@@ -115,8 +115,8 @@ def test_glb_with_transforms(tmp_path, valid):
     np.testing.assert_array_equal(mesh.faces, TETRA_F)
 
 
-@pytest.mark.parametrize(("kind", "dtype", "one"), [(5120, "<i1", 127), (5121, "<u1", 255), (5122, "<i2", 32767),
-                                                    (5123, "<u2", 65535)])
+@pytest.mark.parametrize(("kind", "dtype", "one"), [(5120, "<i1", 127), (5121, "<u1", 255),
+                                                    (5122, "<i2", 32767), (5123, "<u2", 65535)])
 @pytest.mark.parametrize("normalised", [True, False])
 def test_glb_of_quantised_positions(tmp_path, tetra, kind, dtype, one, normalised):
     """KHR_mesh_quantization: whole numbers stand for themselves, or normalised for -1 or 0 to 1."""

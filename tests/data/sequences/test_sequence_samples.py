@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ocnf_data import ShardDataset, fuse_tsdf, generate
+from ocnf_data import ShardDataset, fuse_tsdf, generate, load_manifest
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.plan import make_plan
 from ocnf_data.generation.remake import remake
 from ocnf_data.inspection.check import check_sample
 from ocnf_data.inspection.show import draw_sample
+from ocnf_data.octree.surface import octree_surface
+from ocnf_data.report.blob import unpack
+from ocnf_data.report.run import write_report
+from ocnf_data.report.sample import Choice, make_picture, stored_fusion
 from ocnf_data.sequences.frames import FrameSequence
+from ocnf_data.sequences.known import known_surface
 from ocnf_data.shards.browse import StoredSample, stored_samples
 from ocnf_data.verify.verify import verify
 from ocnf_data.views.scans import read_scan
@@ -178,6 +184,14 @@ def test_too_few_frames_for_disjoint_subsets_are_refused_before_anything_is_made
     assert len(make_plan(dealt_again, scans).items) == 3
 
 
+def test_the_shipped_manifest_takes_scans_of_any_length(tmp_path: Path) -> None:
+    manifest = load_manifest(Path(__file__).parents[3] / "manifests" / "paper-kinect.yaml")
+    for n in (20, 41):
+        write_scan(tmp_path / f"of{n}", n)
+    entries = manifest.entries(tmp_path)
+    assert Counter(entry.path for entry in entries) == {"of20": 20, "of41": 20}
+
+
 def test_scans_of_their_own_splits(scans: Path) -> None:
     manifest = sequence_manifest(scans=["long", {"path": "short", "configurations": {"test": 2}}],
                                  configurations={"train": 4, "val": 1})
@@ -197,6 +211,34 @@ def test_a_sample_can_be_made_again_and_drawn(made: Path, scans: Path, tmp_path:
     assert (tmp_path / "a.png").stat().st_size > 10_000
     with pytest.raises(OcnfError, match="the folder of the meshes or scans is not given"):
         draw_sample(sample, sequence_manifest(), tmp_path / "b.png")
+
+
+def test_its_page_shows_the_frames_that_it_was_made_of(made: Path, scans: Path, tmp_path: Path) -> None:
+    manifest = sequence_manifest()
+    choice = Choice(manifest.inputs[1], 32, 10**6, "z")  # of histograms alone
+    done = write_report(str(made), tmp_path / "page.html", meshes=scans, variant="v5", triangles=10**6)
+    assert (done.n_samples, done.failures) == (5, [])
+    for sample in samples(made).values():
+        facts = sample.facts["inputs"]["v5"]
+        picture = make_picture(sample, manifest, choice, scans, [stored_fusion(sample, choice)])
+        arrays, meta = unpack(picture.blob)
+        assert [depth["title"] for depth in meta["depths"]] == [f"{facts['frames'][0]}, as measured",
+                                                                *facts["frames"]]
+        scale, centre = sample.facts["normalisation"]["scale"], sample.facts["normalisation"]["centre"]
+        measured = read_scan(scans / "long", depth_scale=10_000).views.depth[facts["views"]] * scale
+        assert meta["depths"][0]["limits"] == pytest.approx([measured.min(), measured.max()], rel=1e-5)
+        truth, fused = sample.octree("target-32.oct"), sample.octree("v5-histogram-32.oct")
+        centres = np.linspace(-1.125, 1.125, 10, dtype=np.float32)
+        mean = fused.with_data((fused.data @ centres).clip(-1, 1)[:, None])
+        triangles = {shown["name"]: shown["of"] for shown in meta["shown"] if shown["kind"] == "surface"}
+        assert triangles == {"All frames": len(known_surface(truth, 3.0)[1]),
+                             "VolFus*": len(known_surface(mean, 3.0, truth)[1]),
+                             "Ground truth": len(known_surface(truth, 3.0)[1])}
+        assert triangles["VolFus*"] < 0.9 * len(octree_surface(mean, 3.0)[1])  # no walls around the unknown
+        points = arrays["surface1/positions"] / 65535 * 3.0 - 1.5
+        off = np.linalg.norm(points / scale + centre - BALL, axis=1) - RADIUS
+        on_walls = np.abs((points / scale + centre)[:, :, None] - ROOM.T).min(axis=(1, 2))
+        assert np.minimum(np.abs(off), on_walls).max() < 0.002
 
 
 def test_kept_views_are_the_frames_of_the_configuration(scans: Path, tmp_path: Path) -> None:
