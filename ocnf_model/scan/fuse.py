@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.fusion import DepthPyramid, default_truncation
+from ocnf_data.fusion import DepthPyramid
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_data.views.scans import Scan
@@ -124,8 +124,8 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
         with stages.stage("colour") as stage:
             colours = vertex_colours(vertices, scan, truncation, vertex_normals(vertices, triangles))[0]
             stage.say(f"{len(vertices):,} vertices from {len(scan.views)} images")
-    return Reconstruction(vertices, triangles, octrees, grid, seconds, (*scan.notes, *scan.warnings), colours,
-                          loose, str(fuser.method))
+    return Reconstruction(vertices, triangles, octrees, grid, truncation, seconds,
+                          (*scan.notes, *scan.warnings), colours, loose, str(fuser.method))
 
 
 def _fuse(pyramid: DepthPyramid, fuser: Fuser, region: Region, voxel: float | None, stages: StageLog,
@@ -137,7 +137,7 @@ def _fuse(pyramid: DepthPyramid, fuser: Fuser, region: Region, voxel: float | No
             octrees = fuser(pyramid, region, stage.report)
             stage.say(f"{label}, {fuser.resolution}³ voxels of "
                       f"{1000 * region.size / fuser.resolution:.2f} mm")
-            return octrees, region, default_truncation(fuser.resolution, region.size)
+            return octrees, region, fuser.truncation(region.size / fuser.resolution)
         lengths = np.subtract(region.high, region.low)
         fuser = fuser.for_voxels(int(np.ceil(lengths.max() / voxel)) + 16)
         tiling = plan_tiles(region, voxel, fuser.resolution, fuser.overlap)
@@ -152,5 +152,4 @@ def _fuse(pyramid: DepthPyramid, fuser: Fuser, region: Region, voxel: float | No
         stage.say(f"{label}, {w} x {h} x {d} voxels of {1000 * voxel:.2f} mm in {len(tiles)} "
                   f"tile{'s' * (len(tiles) > 1)} of {fuser.resolution}³")
         grid = replace(region, size=tiling.region.size)
-        return {max(tiling.shape): octree}, grid, default_truncation(fuser.resolution,
-                                                                     voxel * fuser.resolution)
+        return {max(tiling.shape): octree}, grid, fuser.truncation(voxel)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.fusion import DepthPyramid, fuse, fuse_histogram, fuse_tsdf
+from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import tvl1
 from ocnf_model.checkpoint import TrainedRun
@@ -51,6 +51,10 @@ class Baseline:
     def overlap(self) -> int:
         """Voxels that neighbouring tiles share: VolFus looks at one voxel, TV-L1 at all around it."""
         return 0 if self.weight is None else self.resolution // 8 // 8 * 8
+
+    def truncation(self, voxel: float) -> float:
+        """Truncation distance in metres where voxels are as large, the paper's."""
+        return default_truncation(self.resolution, voxel * self.resolution)
 
     def for_voxels(self, n: int) -> Baseline:
         """The same: a tile costs what lies in it."""
@@ -107,6 +111,10 @@ class Learned:
         step = 8 << (len(self.resolutions) - 1)  # so that the trees of all levels lie alike in all tiles
         return max(self.resolution // 4 // step, 1) * step
 
+    def truncation(self, voxel: float) -> float:
+        """Truncation distance in metres where voxels are as large: as many voxels as in training."""
+        return self.truncation_voxels * voxel
+
     def for_voxels(self, n: int) -> Learned:
         """The network that stops at the first level whose cube holds n voxels; itself where none does."""
         fitting = [i for i, resolution in enumerate(self.resolutions, 1) if resolution >= n]
@@ -123,7 +131,7 @@ class Learned:
         """
         network, size = self.network, region.size
         inputs = [OctreeBatch.from_grids([
-            fuse(pyramid, network.encoding, resolution, size, self.truncation_voxels * size / resolution,
+            fuse(pyramid, network.encoding, resolution, size, self.truncation(size / resolution),
                  centre=region.centre)]) for resolution in network.reads(self.resolutions)]
         reached = run_levels(network, inputs, next(network.parameters()).device, len(self.resolutions))
         octrees = {}
@@ -145,7 +153,8 @@ Fuser = Baseline | Learned
 def fuse_tile(fuser: Fuser, pyramid: DepthPyramid, cube: Region) -> GridOctree:
     """The finest octree of one of many tiles; where no surface was measured, that of plain fusion."""
     if isinstance(fuser, Learned):
-        coarse = fuse_tsdf(pyramid, fuser.resolutions[0], cube.size, centre=cube.centre)
-        if not (np.abs(coarse.data) < 1).any():
-            return fuse_tsdf(pyramid, fuser.resolution, cube.size, centre=cube.centre)
+        coarse, fine = ((resolution, cube.size, fuser.truncation(cube.size / resolution))
+                        for resolution in (fuser.resolutions[0], fuser.resolution))
+        if not (np.abs(fuse_tsdf(pyramid, *coarse, centre=cube.centre).data) < 1).any():
+            return fuse_tsdf(pyramid, *fine, centre=cube.centre)
     return fuser(pyramid, cube)[fuser.resolution]

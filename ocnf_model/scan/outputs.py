@@ -12,7 +12,6 @@ import numpy as np
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import Store
 from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
-from ocnf_data.fusion import default_truncation
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_model.scan.reconstruction import Reconstruction
 
@@ -66,11 +65,11 @@ def save_tsdf(result: Reconstruction, path: Path) -> None:
     octree, store = result.octree, Store(path.parent)
     voxel = result.region.size / max(octree.shape)
     first = np.array(result.region.centre) - voxel * (np.array(octree.shape[::-1]) - 1) / 2
-    truncation = default_truncation(octree.shape, result.region.size)
     if path.suffix.lower() == ".oc":
         with store.writing(path.name) as file:
             octree.write_oc(file)
-        placing = {"shape": octree.shape, "first": first.tolist(), "voxel": voxel, "truncation": truncation}
+        placing = {"shape": octree.shape, "first": first.tolist(), "voxel": voxel,
+                   "truncation": result.truncation}
         store.put_bytes(path.with_suffix(".json").name, json.dumps(placing, indent=1).encode())
         return
     if np.prod(octree.shape, dtype=float) > _MAX_DENSE:
@@ -78,4 +77,4 @@ def save_tsdf(result: Reconstruction, path: Path) -> None:
                         found=f"{octree.shape} voxels", fix="write an octree, to a name that ends in .oc")
     with store.writing(path.name) as file, file.open("wb") as stream:
         np.savez_compressed(stream, tsdf=octree.to_dense()[0], first=first, voxel=voxel,
-                            truncation=truncation)
+                            truncation=result.truncation)

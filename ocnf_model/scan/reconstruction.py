@@ -28,6 +28,7 @@ class Reconstruction:
             of one, walls around the unseen included. Of a region that was fused with voxels of a chosen size
             there is one octree, (D, H, W), by the voxels of its longest axis.
         region: the box that surfaces were kept in, and in `size` the length of the grid's longest axis.
+        truncation: tau of the finest octree in metres.
         seconds: fusion and reconstruction, without reading the scan and without marching cubes.
         notes: what the reader left out or assumed, and what it warns of, a sentence each.
         colours: (N, 3) uint8 red, green, blue of the vertices; None where the scan has no colour.
@@ -39,6 +40,7 @@ class Reconstruction:
     faces: I64
     octrees: Mapping[int, GridOctree]
     region: Region
+    truncation: float
     seconds: float
     notes: tuple[str, ...] = ()
     colours: U8 | None = None
