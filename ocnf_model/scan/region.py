@@ -16,7 +16,8 @@ from ocnf_data.views.cameras import Views
 
 _PADDING = 0.05  # of the cube is free on both sides together, as around the meshes of training
 _ROOM_MARGIN = 0.02  # of each axis, added at both ends
-_SAMPLES = 12  # along each side of a region, of whether it is looked at
+_CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])  # of a box
+_EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])  # (12, 2) corners
 
 
 @dataclass(frozen=True)
@@ -96,17 +97,32 @@ def largest_object(views: Views | DepthPyramid) -> Region:
 
 
 def looked_at(views: Views, region: Region) -> bool:
-    """Whether some part of a region's box lies in the picture of some frame, whatever was measured there."""
-    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, _SAMPLES)] * 3), axis=-1).reshape(-1, 3)
-    points = np.array(region.low) + grid * np.subtract(region.high, region.low)
+    """Whether some part of a region's box lies in the picture of some frame, whatever was measured there.
+
+    A box and the cone of a picture, both convex, meet where an edge of one runs through the other.
+    """
+    low, high = np.array(region.low), np.array(region.high)
     height, width = views.size
-    for K, R, T in zip(views.K, views.R, views.T, strict=True):
-        x, y, z = R @ points.T + T[:, None]
-        before = z > 0
-        u, v = K[0, 0] * x[before] / z[before] + K[0, 2], K[1, 1] * y[before] / z[before] + K[1, 2]
-        if ((u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)).any():
-            return True
-    return False
+    fx, fy, cx, cy = (views.K[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))  # (V, 1)
+    x, y, z = np.moveaxis((low + _CORNERS * (high - low)) @ views.R.transpose(0, 2, 1) + views.T[:, None],
+                          -1, 0)  # (V, 8)
+    within = np.stack([fx * x + (cx + 0.5) * z, (width - 0.5 - cx) * z - fx * x,  # the picture's four sides
+                       fy * y + (cy + 0.5) * z, (height - 0.5 - cy) * z - fy * y], axis=-1)  # (V, 8, 4)
+    a, b = within[:, _EDGES[:, 0]], within[:, _EDGES[:, 1]]  # (V, 12, 4) at both ends of the box's edges
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = a / (a - b)
+    enters = np.where(a >= 0, 0.0, np.where(b >= 0, crossing, np.inf)).max(axis=-1)
+    leaves = np.where(b >= 0, 1.0, np.where(a >= 0, crossing, -np.inf)).min(axis=-1)
+    if (enters <= leaves).any():
+        return True
+    u, v = np.array([-0.5, -0.5, width - 0.5, width - 0.5]), np.array([-0.5, height - 0.5] * 2)
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u - cx)], axis=-1) @ views.R  # (V, 4, 3)
+    rays[rays == 0] = np.finfo(np.float64).tiny
+    centres = -np.einsum("vij,vi->vj", views.R, views.T)[:, None]
+    with np.errstate(over="ignore"):
+        ends = np.stack([(low - centres) / rays, (high - centres) / rays])
+    nearest, farthest = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    return bool((farthest >= np.maximum(nearest, 0)).any())
 
 
 def observed(points: F64, views: Views, band: float) -> Bool:

@@ -12,15 +12,19 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from rich.console import Console
+from scipy.optimize import linprog
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, fuse_histogram
 from ocnf_data.views.cameras import Views
-from ocnf_data.views.scans import read_scan
+from ocnf_data.views.scans import Scan, read_scan
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.scan.fuse import fuse_scan
 from ocnf_model.scan.fusers import Baseline, Learned
+from ocnf_model.scan.outputs import save_tsdf
 from ocnf_model.scan.region import Region, largest_object, looked_at, observed
 from ocnf_model.scan.run import Asked, run_fuse
 
@@ -75,6 +79,28 @@ def test_the_network_gets_the_histograms_of_the_region(scan: Path, network: OctN
         np.testing.assert_allclose(octrees[resolution].to_dense(), expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("voxel", [None, 0.009])
+@pytest.mark.parametrize("truncation_voxels", [32 / 15, 6.0])
+def test_the_truncation_is_the_networks(truncation_voxels, voxel, tmp_path: Path) -> None:
+    """A network that copies plain fusion, before a plane: what is saved are its distances in metres."""
+    views = Views(np.ones((1, 96, 128), np.float32), np.array([[100.0, 0, 64], [0, 100, 48], [0, 0, 1]]),
+                  np.eye(3)[None], np.zeros((1, 3)))
+    network = OctNetFusion("tsdf", levels=1, channels=(2, 4, 8), blend=True).eval().requires_grad_(False)
+    network.levels[0].blend.begin_at(0.9999)
+    fuser = Learned(network, (64,), truncation_voxels)
+    mesh = fuse_scan(Scan(views, ("a",)), fuser, region=Region.of_box((-0.3, -0.3, 0.7, 0.3, 0.3, 1.3)),
+                     voxel=voxel)
+    save_tsdf(mesh, tmp_path / "tsdf.npz")
+    with np.load(tmp_path / "tsdf.npz") as file:
+        tsdf, first, edge, truncation = (file[name] for name in ("tsdf", "first", "voxel", "truncation"))
+    assert truncation == pytest.approx(truncation_voxels * edge)
+    ray = tsdf[:, tsdf.shape[1] // 2, tsdf.shape[2] // 2]
+    ahead = 1 - (first[2] + edge * np.arange(len(ray)))
+    near = np.abs(ahead) < 0.9 * truncation
+    assert near.sum() >= 3
+    np.testing.assert_allclose(ray[near] * truncation, ahead[near], atol=0.01 * edge)
+
+
 @pytest.mark.parametrize("resolutions", [(32,), (32, 64)])
 def test_a_network_that_reads_what_is_finer_gets_it(resolutions, scan: Path) -> None:
     views, region = read_scan(scan).views, Region.of_box(BOX)
@@ -98,6 +124,33 @@ def test_what_was_not_seen_is_cut_off_unless_it_is_asked_for(scan: Path) -> None
     off = np.abs(np.linalg.norm(seen.vertices - CENTRE, axis=1) - RADIUS)
     assert off.max() < 2.2 * region.size / 32 < np.abs(
         np.linalg.norm(closed.vertices - CENTRE, axis=1) - RADIUS).max()
+
+
+@settings(max_examples=150, deadline=None)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.3, 3.0, 30.0]))
+def test_whether_a_box_is_looked_at_is_what_linear_programming_says(seed: int, reach: float) -> None:
+    """A point of the box that lies as far as possible within all four sides of the picture."""
+    rng = np.random.default_rng(seed)
+    K = np.array([[rng.uniform(20, 80), 0, rng.uniform(-10, 74)],
+                  [0, rng.uniform(20, 80), rng.uniform(-10, 50)], [0, 0, 1]])
+    R, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    R *= np.sign(np.linalg.det(R))
+    T = rng.normal(size=3)
+    size = rng.uniform(0.02, 1, 3) * reach
+    low = rng.normal(size=3) * reach
+    sides = np.array([K[0] + [0, 0, 0.5], [0, 0, 63.5] - K[0], K[1] + [0, 0, 0.5], [0, 0, 47.5] - K[1]])
+    best = linprog([0, 0, 0, -1], np.hstack([-sides @ R, np.ones((4, 1))]), sides @ T,
+                   bounds=[*zip(low, low + size, strict=True), (None, None)])
+    assert best.status == 0
+    assume(abs(best.fun) > 1e-6)
+    views = Views(np.ones((1, 48, 64), np.float32), K[None], R[None], T[None])
+    assert looked_at(views, Region.of_box([*low, *(low + size)])) == (best.fun < 0)
+
+
+def test_a_box_much_larger_than_what_a_camera_sees_of_it_is_looked_at() -> None:
+    views = Views(np.full((1, 96, 128), 0.35, np.float32),
+                  np.array([[110.0, 0, 64], [0, 110, 48], [0, 0, 1]]), np.eye(3)[None], np.zeros((1, 3)))
+    assert looked_at(views, Region.of_box((-3, -3, -5.6, 3, 3, 0.4)))
 
 
 def test_observed_by_hand() -> None:
