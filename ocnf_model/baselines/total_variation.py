@@ -141,6 +141,12 @@ def _allowed(state: State, energy: float, weight: float, tolerance: float) -> fl
     return tolerance * energy + _ROUNDING * weight * state.u.size
 
 
+def check_weight(weight: float) -> None:
+    """Raise OcnfError unless it can weigh the data term: finite, above 0."""
+    if not (math.isfinite(weight) and weight > 0):
+        raise OcnfError("not a weight", where="tvl1", field="weight", found=weight, expected="above 0")
+
+
 def _check(histogram: GridOctree, weight: float, iterations: int, tolerance: float) -> None:
     if histogram.channels < 3:
         raise OcnfError("not a TSDF histogram", where="tvl1", field="histogram", expected="3 or more bins",
@@ -150,8 +156,7 @@ def _check(histogram: GridOctree, weight: float, iterations: int, tolerance: flo
                         found=f"a smallest bin of {histogram.data.min()}, sums from "
                               f"{histogram.data.sum(axis=1).min()} to {histogram.data.sum(axis=1).max()}",
                         expected="bins that are not negative and sum to 1")
-    if not (math.isfinite(weight) and weight > 0):
-        raise OcnfError("not a weight", where="tvl1", field="weight", found=weight, expected="above 0")
+    check_weight(weight)
     if iterations < 1:
         raise OcnfError("no iterations", where="tvl1", field="iterations", found=iterations,
                         expected="1 or more")

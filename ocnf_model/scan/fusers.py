@@ -16,6 +16,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, default_truncation, fuse, fuse_histogram, fuse_tsdf
 from ocnf_data.octree import GridOctree
 from ocnf_model.baselines import tvl1
+from ocnf_model.baselines.total_variation import check_weight
 from ocnf_model.checkpoint import TrainedRun
 from ocnf_model.evaluation.levels import run_levels
 from ocnf_model.evaluation.methods import Method
@@ -28,10 +29,19 @@ Told = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Baseline:
-    """VolFus, or TV-L1 where there is a weight."""
+    """VolFus, or TV-L1 where there is a weight.
+
+    Raises:
+        OcnfError: a resolution that is no multiple of 8, or a weight that is not above 0.
+    """
 
     resolution: int = 256
     weight: float | None = None
+
+    def __post_init__(self) -> None:
+        default_truncation(self.resolution)  # which checks it
+        if self.weight is not None:
+            check_weight(self.weight)
 
     def __call__(self, pyramid: DepthPyramid, region: Region, report: Told | None = None,
                  ) -> dict[int, GridOctree]:

@@ -179,13 +179,14 @@ def _write(asked: Asked, results: Sequence[Reconstruction], scan: Scan, stages: 
 
 
 def _fuser(asked: Asked, method: Method) -> Fuser:
+    if method is Method.OURS:
+        trained = open_run(asked.run)
+        trained.network.to(pick_device(asked.device))
+        return Learned.of(trained, asked.resolution)
+    resolution = 256 if asked.resolution is None else asked.resolution
     if method is Method.VOLFUS:
-        return Baseline(asked.resolution or 256)
-    if method is Method.TVL1:
-        return Baseline(asked.resolution or 256, asked.weight or default_weight(asked.resolution or 256))
-    trained = open_run(asked.run)
-    trained.network.to(pick_device(asked.device))
-    return Learned.of(trained, asked.resolution)
+        return Baseline(resolution)
+    return Baseline(resolution, default_weight(resolution) if asked.weight is None else asked.weight)
 
 
 def _described(fuser: Fuser) -> str:

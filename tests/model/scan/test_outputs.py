@@ -129,6 +129,20 @@ def test_the_first_line_comes_before_anything_heavy_is_loaded_and_the_times_are_
     assert 0.4 * wall < total < wall  # Python's own start and end are not in it
 
 
+@pytest.mark.parametrize(("method", "asked", "message"), [
+    ("tvl1", {"weight": 0.0}, "not a weight"),
+    ("tvl1", {"weight": -1.0}, "not a weight"),
+    ("tvl1", {"resolution": 0}, "not a multiple of 8"),
+    ("volfus", {"resolution": 0}, "not a multiple of 8"),
+    ("volfus", {"resolution": 100}, "not a multiple of 8"),
+    ("ours", {"resolution": 0}, "no level of this resolution"),
+])
+def test_what_a_method_cannot_be_asked_for_is_refused_before_the_scan_is_read(
+        method: str, asked: dict[str, object], message: str, tmp_path: Path) -> None:
+    with pytest.raises(OcnfError, match=message):
+        run_fuse(str(tmp_path / "no scan"), Asked(tmp_path / "mesh.ply", methods=[method], **asked))
+
+
 def test_a_second_box_is_refused(scan: Path, tmp_path: Path) -> None:
     boxes = ["--box", *map(str, BOX)] * 2
     done = subprocess.run([sys.executable, "-m", "ocnf_model.cli", "fuse", "pretrained", str(scan), *boxes,
