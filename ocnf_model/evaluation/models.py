@@ -24,6 +24,7 @@ class DatasetFacts:
 
     Attributes:
         url: URL of the data set.
+        identity: SHA-256 that tells it from others.
         resolutions: ascending.
         variants: the encodings of each input variant.
         is_occupancy: whether the ground truth is occupancy, not TSDF.
@@ -34,6 +35,7 @@ class DatasetFacts:
     """
 
     url: str
+    identity: str
     resolutions: tuple[int, ...]
     variants: Mapping[str, tuple[Encoding, ...]]
     is_occupancy: bool
@@ -45,12 +47,14 @@ class DatasetFacts:
     @classmethod
     def read(cls, url: str) -> DatasetFacts:
         """The facts of the data set at a folder or URL."""
-        manifest: dict[str, Any] = dict(load_dataset(url).manifest)
+        info = load_dataset(url)
+        manifest: dict[str, Any] = dict(info.manifest)
         try:
             resolutions = tuple(sorted(int(resolution) for resolution in manifest["resolutions"]))
             voxels, extent = float(manifest["truncation_voxels"]), float(manifest["normalise"]["extent"])
             return cls(
                 url=url,
+                identity=info.identity,
                 resolutions=resolutions,
                 variants={entry["name"]: tuple(map(Encoding, entry["encodings"]))
                           for entry in manifest["inputs"]},

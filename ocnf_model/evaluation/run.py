@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ocnf_data.files.storage import Store
+from ocnf_data.terminal import check_up
 from ocnf_model.checkpoint import SHIPPED, open_run, run_path
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.figure import caption, draw_surfaces
@@ -98,6 +99,7 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
     """
     console = console or Console()
+    check_up(up)
     network, resolutions, page = None, None, None
     if html is not None:
         from ocnf_model.evaluation.page import EvaluationPage
@@ -161,7 +163,7 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
                                  required=methods is not None)
     if network is not None and read:
         notes += _has_to_guess(network, read)
-    weight = _weights(weights, plans, facts.resolutions, notes)
+    weight = _weights(weights, plans, facts, notes)
     origins = Origins(facts, meshes)
     notes += _measured_against(facts, origins, plans)
     if page is not None:
@@ -227,14 +229,19 @@ def _measured_against(facts: DatasetFacts, origins: Origins, plans: Sequence[Var
     return notes
 
 
-def _weights(path: Path | None, plans: Sequence[VariantPlan], resolutions: Sequence[int],
+def _weights(path: Path | None, plans: Sequence[VariantPlan], facts: DatasetFacts,
              notes: list[str]) -> Weight:
     """TV-L1's weights, with a note on those that nobody chose for this data."""
-    known = {} if path is None else read_weights(path)
+    known, data = ({}, None) if path is None else read_weights(path)
     variants = [plan.variant for plan in plans if Method.TVL1 in plan.sources]
-    lacking = [f"{variant} at {resolution}³" for variant in variants for resolution in resolutions
+    wanted = [(variant, resolution) for variant in variants for resolution in facts.resolutions]
+    lacking = [f"{variant} at {resolution}³" for variant, resolution in wanted
                if (variant, resolution) not in known]
     if lacking:
         notes.append(f"TV-L1's weight is the package's default for {', '.join(lacking)}, not one chosen on "
                      "this data's validation split")
+    given = list(dict.fromkeys(variant for variant, resolution in wanted if (variant, resolution) in known))
+    if path is not None and given and data != facts.identity:
+        notes.append(f"TV-L1's weight for {', '.join(given)} is that of {path.parent.name}/{path.name}, not "
+                     "chosen on this data: `ocnf-model choose-weight` does that")
     return lambda variant, resolution: known.get((variant, resolution), default_weight(resolution))

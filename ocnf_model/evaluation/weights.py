@@ -1,7 +1,7 @@
 """TV-L1's weights: chosen on the validation split, kept in a file, read by evaluation.
 
-    {"schema": 1, "split": "val", "choices": [{"variant": "v4_n02", "resolution": 64, "weight": 1.6,
-      "weights": [0.4, ...], "mean_mm": [0.71, ...], "models": ["chair_0001", ...]}, ...]}
+    {"schema": 1, "data": IDENTITY, "split": "val", "choices": [{"variant": "v4_n02", "resolution": 64,
+      "weight": 1.6, "weights": [0.4, ...], "mean_mm": [0.71, ...], "models": ["chair_0001", ...]}, ...]}
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -77,8 +78,8 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
                 if console is not None:
                     console.print(f"TV-L1, {variant} at {resolution}³, {len(models)} models:", choice.table(),
                                   "", sep="\n", highlight=False)
-    text = json.dumps({"schema": _SCHEMA, "split": split, "choices": [asdict(one) for one in choices]},
-                      indent=1)
+    text = json.dumps({"schema": _SCHEMA, "data": facts.identity, "split": split,
+                       "choices": [asdict(one) for one in choices]}, indent=1)
     Store(out.parent).put_bytes(out.name, text.encode())
     return choices
 
@@ -101,8 +102,20 @@ def _choose(facts: DatasetFacts, split: str, variant: str, resolution: int, n_mo
     return [model.key for model in models], choice
 
 
-def read_weights(path: Path) -> Mapping[tuple[str, int], float]:
-    """Weights by (variant, resolution), from a file that `run_choose_weight` wrote.
+class ChosenWeights(NamedTuple):
+    """What such a file says.
+
+    Attributes:
+        weights: by (variant, resolution).
+        data: identity of the data set that they were chosen on; None where the file does not say.
+    """
+
+    weights: Mapping[tuple[str, int], float]
+    data: str | None
+
+
+def read_weights(path: Path) -> ChosenWeights:
+    """The weights in a file that `run_choose_weight` wrote.
 
     Raises:
         OcnfError: no such file, or not one of weights.
@@ -117,7 +130,10 @@ def read_weights(path: Path) -> Mapping[tuple[str, int], float]:
                  for one in content["choices"]}
         if not all(math.isfinite(weight) and weight > 0 for weight in found.values()):
             raise ValueError("a weight that is not above 0")
+        data = content.get("data")
+        if not isinstance(data, str | None):
+            raise TypeError("data is not a checksum")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise OcnfError("not a file of TV-L1 weights", code="damaged", where=path,
                         found=f"{type(error).__name__}: {error}", fix="choose them again") from error
-    return found
+    return ChosenWeights(found, data)

@@ -41,7 +41,7 @@ def test_info_shows_it() -> None:
 
 
 def test_the_weights_of_tvl1_were_chosen_for_its_data() -> None:
-    chosen = read_weights(FOLDER / "tvl1.json")
+    chosen, _ = read_weights(FOLDER / "tvl1.json")
     assert set(chosen) == {("v4_n02", resolution) for resolution in (64, 128, 256)}
     assert {resolution: weight for (_, resolution), weight in chosen.items()} == DEFAULT_WEIGHTS
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.manifest import Manifest
+from ocnf_data.shards.dataset import load_dataset
 from ocnf_model import OctNetFusion
 from ocnf_model.checkpoint import save_checkpoint
 from ocnf_model.evaluation.run import run_evaluate
@@ -38,13 +39,32 @@ def test_a_run_is_evaluated_at_its_own_resolutions(tiny: str, tmp_path: Path) ->
     run = make_run(tmp_path / "run")
     choices = [{"variant": variant, "resolution": resolution, "weight": 1.0}
                for variant in ("v4", "v2") for resolution in (32, 64)]
-    (run / "tvl1.json").write_text(json.dumps({"schema": 1, "choices": choices}))
+    weights = {"schema": 1, "data": load_dataset(tiny).identity, "choices": choices}
+    (run / "tvl1.json").write_text(json.dumps(weights))
     found = run_evaluate(str(run), tiny, limit=1, n_figures=0, device="cpu", console=Console(quiet=True))
     assert {(row.method, row.resolution) for row in found.rows if row.variant == "v4"} == {
         ("VolFus", 32), ("VolFus", 64), ("TV-L1", 32), ("TV-L1", 64), ("Ours", 32)}
     assert not any("TV-L1" in note for note in found.notes)
     assert (run / "evaluation" / "test" / "models.csv").exists()
     assert all(row.recall == 0 for row in found.rows if row.method == "Ours")  # it says free everywhere
+
+
+@pytest.mark.parametrize("data", [{}, {"data": "0" * 64}])
+def test_weights_chosen_on_other_data_are_said(data: dict[str, str], tiny: str, tmp_path: Path) -> None:
+    """A variant of the same name may be anything."""
+    choices = [{"variant": "v2", "resolution": 32, "weight": 1.0}]
+    (tmp_path / "kept").mkdir()
+    file = tmp_path / "kept" / "tvl1.json"
+    file.write_text(json.dumps({"schema": 1, **data, "choices": choices}))
+    found = run_evaluate("pretrained", tiny, weights=file, methods=["tvl1"], limit=1, n_figures=0,
+                         console=Console(quiet=True))
+    said, = (note for note in found.notes if "chosen on this data:" in note)
+    assert "for v2 is that of kept/tvl1.json" in said
+
+
+def test_an_axis_that_cannot_point_up_is_refused(tiny: str) -> None:
+    with pytest.raises(OcnfError, match="not an axis that can point up; found x"):
+        run_evaluate("pretrained", tiny, methods=["volfus"], up="x")
 
 
 def test_a_run_of_another_truncation_is_refused(tiny: str, tmp_path: Path) -> None:
