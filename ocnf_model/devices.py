@@ -13,7 +13,7 @@ from ocnf_data.errors import OcnfError
 
 
 class Precision(StrEnum):
-    """What the convolutions compute in; weights, losses and Adam stay float32, and so does the head."""
+    """What the convolutions compute in; weights, losses and Adam stay float32, and so does a TSDF's head."""
 
     FLOAT32 = "float32"
     """Single precision throughout."""

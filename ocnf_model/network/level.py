@@ -32,8 +32,15 @@ class LevelOutput:
 
     @property
     def reconstruction(self) -> OctreeBatch:
-        """TSDF / tau, not clipped, or probabilities of occupancy."""
-        return self.raw if self.output is Output.TSDF else self.raw.with_features(self.raw.features.sigmoid())
+        """TSDF / tau, not clipped, or probabilities of occupancy, in at least float32.
+
+        Near 1 bfloat16 has steps of 1/256.
+        """
+        if self.output is Output.TSDF:
+            return self.raw
+        logits = self.raw.features
+        return self.raw.with_features(
+            logits.to(torch.promote_types(logits.dtype, torch.float32)).sigmoid())
 
 
 class Level(nn.Module):

@@ -132,7 +132,10 @@ class _Convolution(torch.autograd.Function):
                 if grad_features is not None:
                     put_rows(grad_features, leaves, linear(gathered, matrix).mul_(voxels))
                 if wants_weight:
-                    rows = features.index_select(0, leaves).mul_(voxels)  # (m, C_in)
+                    rows = features.index_select(0, leaves)  # (m, C_in)
+                    if rows.dtype is torch.float16:  # 512 voxels times a feature may be too much for it
+                        rows, gathered, voxels = rows.float(), gathered.float(), voxels.float()
+                    rows.mul_(voxels)
                     grad_matrix += linear(rows.T, gathered.T)  # (C_in, 27 C_out)
             return grad_matrix
 

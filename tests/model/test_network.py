@@ -298,6 +298,17 @@ def test_mixed_precision(inputs) -> None:
     assert all(p.grad is not None and p.grad.isfinite().all() for p in trained)
 
 
+def test_probabilities_are_finer_than_their_logits_in_mixed_precision(inputs) -> None:
+    """Between 1 - 1/256 and 1 there is no bfloat16."""
+    network = OctNetFusion(**SMALL, levels=1, output="occupancy").eval()
+    network.levels[0].head.bias.data.fill_(7.0)
+    with torch.autocast("cpu", torch.bfloat16):
+        result = network.run(inputs[:1])[0]
+    found = result.reconstruction.features
+    assert found.dtype == torch.float32 and (found < 1).all()
+    torch.testing.assert_close(found, result.raw.features.float().sigmoid(), rtol=0, atol=0)
+
+
 def test_a_fourth_level_runs(make_batch) -> None:
     network = OctNetFusion(**SMALL, levels=4)
     inputs = [make_batch(level, (4 << level,) * 3, 1, 1, 0.02, torch.float32) for level in range(4)]

@@ -137,6 +137,18 @@ def test_without_bias_and_in_low_precision(make_batch) -> None:
     assert (conv.weight.grad - expected).norm() < 0.02 * expected.norm()
 
 
+@pytest.mark.parametrize("likelihood", [0.0, 0.7])
+def test_gradients_of_wide_leaves_fit_into_float16(likelihood: float, make_batch) -> None:
+    """A leaf of 512 voxels times a feature of 200 is beyond 65,504; the gradient is not."""
+    x = make_batch(9, (2, 2, 2), channels=2, likelihood=likelihood)
+    found = []
+    for dtype in (torch.float64, torch.float16):
+        conv = OctreeConv3d(2, 2).to(dtype)
+        y = conv(x.with_features((x.features.abs() + 200).to(dtype))).features
+        found.append(torch.autograd.grad((y * 1e-3).sum(), conv.weight)[0].double())
+    assert (found[1] - found[0]).norm() < 0.01 * found[0].norm()
+
+
 def test_he_initialisation() -> None:
     torch.manual_seed(0)
     conv = OctreeConv3d(32, 64)
