@@ -29,6 +29,7 @@ def known_surface(tsdf: GridOctree, extent: float, known: GridOctree | None = No
     kept = np.ones(len(vertices), bool)
     for cells in (np.floor(place + _ON_GRID), np.ceil(place - _ON_GRID)):
         inside = np.clip(cells, 0, np.array(tsdf.shape) - 1).astype(np.int64)
+        kept &= (cells == inside).all(axis=1)  # beyond the grid nothing is known
         kept &= known.gather(inside)[:, 0] > -1
     faces = faces[kept[faces].all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)

@@ -85,6 +85,16 @@ def test_the_known_surface_is_the_scene_without_walls_around_the_unknown(scans: 
     assert (closed < 1.5 * voxel).mean() < 0.8
 
 
+def test_a_solid_that_the_border_cuts_is_not_closed_there() -> None:
+    """A plane between z = 30 and 31 of 32 voxels, behind which the last voxel is still in the band."""
+    depth = np.broadcast_to(np.arange(32)[:, None, None], (32, 32, 32))
+    tsdf = GridOctree.from_dense(np.clip((30.5 - depth) / 2, -1, 1).astype(np.float32)[None], 0.0)
+    vertices, faces = known_surface(tsdf, 32.0)
+    np.testing.assert_allclose(vertices[:, 2], 15.0, atol=1e-6)  # 30.5 + 1/2 - 16
+    assert len(faces) == 2 * 31**2
+    assert octree_surface(tsdf, 32.0)[0][:, 2].max() > 15.5
+
+
 def test_what_is_known_may_be_said_by_another_volume() -> None:
     """A ball that a network completes, of which the reference knows the half with x > 0 alone."""
     axis = (np.arange(32) + 0.5) / 32 - 0.5
