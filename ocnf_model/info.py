@@ -26,9 +26,10 @@ def print_run(run: str | Path, console: Console) -> None:
     """
     folder = run_folder(run)
     if not trained_levels(folder):
-        from ocnf_model.training.run import read_run_settings
+        from ocnf_model.training.record import read_record
 
-        settings, data = read_run_settings(folder)
+        begun = read_record(folder)
+        settings, data = begun.settings, begun.data
         console.print(f"{folder}: {settings.levels} levels to be trained on {data.name} ({data.n_train} "
                       "samples); no epoch is finished yet", highlight=False, markup=False)
         return

@@ -7,11 +7,21 @@ from pathlib import Path
 import torch
 from torch.nn.functional import pad
 
-from ocnf_model.checkpoint import level_architecture, load_level, run_folder, trained_levels
+from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import (
+    checkpoint_path,
+    checkpoint_sha256,
+    level_architecture,
+    load_level,
+    run_folder,
+    trained_levels,
+)
 from ocnf_model.header import Architecture
 from ocnf_model.network import Level, Normaliser, OctNetFusion, fold_normalisation
 from ocnf_model.ops import FusionBlend
+from ocnf_model.training.record import is_begun, read_record
 from ocnf_model.training.settings import TrainSettings, read_settings
+from ocnf_model.training.train_state import has_weights, load_state
 
 _READS = "first.0.weight"
 
@@ -29,6 +39,52 @@ def like_the_start(settings: TrainSettings) -> TrainSettings:
     taken = {name: value for name, value in there.model_dump(mode="json").items()
              if name not in settings.model_fields_set}
     return read_settings({**settings.to_dict(), **taken}, f"settings as in {settings.start}")
+
+
+def start_checksums(settings: TrainSettings) -> tuple[str, ...] | None:
+    """SHA-256 of the checkpoints that levels begin with, coarse to fine; None without a run to start from."""
+    if settings.start is None:
+        return None
+    folder = run_folder(settings.start)
+    n_started = min(trained_levels(folder), settings.levels)
+    return tuple(checkpoint_sha256(folder, level) for level in range(1, n_started + 1))
+
+
+def check_start(folder: Path, settings: TrainSettings) -> None:
+    """Refuse to go on where levels that have yet to begin would begin with other weights than at first.
+
+    The run to start from is read anew at every start of this one, and may have been trained on, overwritten,
+    or come with another version of the package meanwhile. What it was is of no concern to levels that have
+    begun: their weights are in the state. It comes before all else that is compared, as the architecture is
+    read from there too.
+
+    Args:
+        folder: folder of the run that is gone on with; nothing is compared where none was begun there.
+        settings: what this start was asked for.
+
+    Raises:
+        OcnfError: code `misfit`, with the level.
+    """
+    if settings.start is None or not is_begun(folder):
+        return
+    begun = read_record(folder)
+    if begun.start is None or begun.settings.start != settings.start:
+        return
+    state, tensors = load_state(folder)
+    there = start_checksums(begun.settings) or ()
+    for level in range(state.level + has_weights(tensors), max(len(there), len(begun.start))):
+        found, expected = (_checksum(sums, level) for sums in (there, begun.start))
+        if found != expected:
+            path = checkpoint_path(run_folder(settings.start), level + 1)
+            raise OcnfError("the run to start from has changed, and the level has yet to begin with its "
+                            "weights", code="misfit", where=folder, field=f"start, level {level + 1}",
+                            found=f"{path} {found}", expected=expected,
+                            fix="put back what was there when this run was begun (for a network that comes "
+                                "with ocnf: install the version of then), or begin a new run")
+
+
+def _checksum(sums: tuple[str, ...], level: int) -> str:
+    return f"with SHA-256 {sums[level][:12]}" if level < len(sums) else "that is not there"
 
 
 def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:

@@ -1,6 +1,6 @@
 """Training a network stage by stage, resumable at any moment (SEMANTICS 5).
 
-    RUN/settings.json          all settings, resolved, what they were resolved against, and changed epochs
+    RUN/settings.json          all settings, resolved, what they were resolved against (see `record`)
     RUN/state.safetensors      where the run is (see `training.train_state`)
     RUN/level-1.safetensors    best checkpoint of each level, by `best_by` of the settings (see `checkpoint`)
     RUN/curves.csv             a line an epoch
@@ -14,33 +14,34 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import nullcontext
 from pathlib import Path
 
 from rich.console import Console
 
-from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
-from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
-from ocnf_data.files.validation import validate
 from ocnf_model.checkpoint import load_level
 from ocnf_model.devices import memory_errors
 from ocnf_model.header import TrainingData
 from ocnf_model.network import OctNetFusion, Output
-from ocnf_model.training.beginning import first_network, like_the_start
+from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
-from ocnf_model.training.data import SAMPLES, VALIDATION, DataSource, StoredData, open_data
+from ocnf_model.training.data import DataSource, StoredData, open_data
 from ocnf_model.training.epochs import change_epochs, changed_epochs
-from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
+from ocnf_model.training.record import (
+    SETTINGS,
+    RunRecord,
+    is_begun,
+    read_record,
+    refuse_another_run,
+    refuse_strangers,
+    write_record,
+)
+from ocnf_model.training.settings import TrainSettings
 from ocnf_model.training.stage import Job, Trainer
 from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
 from ocnf_model.training.world import World, join_world
-
-SETTINGS = "settings.json"
-_SCHEMA = 1
-_MAX_SETTINGS = 16 * 2**20  # bytes
 
 
 def train(data: str | Path | DataSource, out: str | Path, settings: TrainSettings | None = None, *,
@@ -69,7 +70,9 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
     """
     folder = Path(out)
     console = console or Console(stderr=True, emoji=False)
-    asked = like_the_start(settings or TrainSettings())
+    settings = settings or TrainSettings()
+    check_start(folder, settings)
+    asked = like_the_start(settings)
     with join_world(device) as world:
         if isinstance(data, str | Path):
             source = open_data(str(data), asked, None if meshes is None else Path(meshes),
@@ -87,7 +90,8 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         network, n_started = first_network(settings)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
-                _begin(folder, settings, _training_data(source, folder, settings))
+                _begin(folder, RunRecord(settings, _training_data(source, folder, settings),
+                                      start_checksums(settings)))
             world.wait()
             return _run(source, folder, settings, network.to(world.device), n_started, world, console)
 
@@ -97,7 +101,7 @@ def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console:
     if isinstance(source, StoredData):
         return
     with exclusive(Store(folder)):
-        _refuse_strangers(Store(folder))
+        refuse_strangers(folder)
         source.prepare(folder, settings, console)
 
 
@@ -140,55 +144,17 @@ def _training_data(source: DataSource, folder: Path, settings: TrainSettings) ->
         truncation_voxels=manifest["truncation_voxels"])
 
 
-def _begin(folder: Path, settings: TrainSettings, training_data: TrainingData) -> None:
+def _begin(folder: Path, ours: RunRecord) -> None:
     """Write down what the run is; refuse a folder that holds something else."""
-    store = Store(folder)
-    if not store.exists(SETTINGS):
-        _refuse_strangers(store)
-        fields = {"schema": _SCHEMA, "settings": settings.to_dict(),
-                  "data": training_data.model_dump(mode="json")}
-        store.put_bytes(SETTINGS, canonical_json(fields, indent=2))
+    if not is_begun(folder):
+        refuse_strangers(folder)
+        write_record(folder, ours)
         return
-    before, began_with = read_run_settings(folder)
-    changed = changed_epochs(settings, before)
-    if not changed and (found := setting_difference(settings, before)):
-        field, ours, theirs = found
-        raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
-                        found=ours, expected=theirs, fix="pass the same settings, or name a new folder")
-    if training_data.checksum != began_with.checksum:
-        raise OcnfError("the run was begun on another data set", code="misfit", where=folder, field="data",
-                        found=f"{training_data.name} {training_data.checksum[:12]}",
-                        expected=f"{began_with.name} {began_with.checksum[:12]}",
-                        fix="pass the same data set, or name a new folder")
+    begun = read_record(folder)
+    changed = changed_epochs(ours.settings, begun.settings)
+    refuse_another_run(folder, ours, begun, but_epochs=bool(changed))
     if changed:
-        change_epochs(folder, SETTINGS, settings, changed, load_state(folder)[0])
-
-
-def _refuse_strangers(store: Store) -> None:
-    """Refuse a folder that is no run and holds anything but what `prepare` made before it was stopped."""
-    if store.exists(SETTINGS):
-        return
-    strangers = [name for name in store.list()
-                 if name != ".lock" and not name.startswith((f"{VALIDATION}/", f"{SAMPLES}/"))]
-    if strangers:
-        raise OcnfError("the folder is not empty, and not a run", code="occupied", where=store.url,
-                        found=strangers[0], fix="name a new folder: nothing is overwritten")
-
-
-def read_run_settings(folder: Path) -> tuple[TrainSettings, TrainingData]:
-    """What a run's folder says it is.
-
-    Raises:
-        OcnfError: it is missing, damaged or of another schema.
-    """
-    where = Store(folder).where(SETTINGS)
-    try:
-        fields = json.loads(Store(folder).read_at_most(SETTINGS, _MAX_SETTINGS))
-    except (ValueError, RecursionError) as error:
-        raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
-    if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
-        raise OcnfError("not the settings of a run of this version", code="schema", where=where)
-    return read_settings(fields.get("settings"), where), validate(TrainingData, fields.get("data"), where)
+        change_epochs(folder, SETTINGS, ours.settings, changed, load_state(folder)[0])
 
 
 def _less_memory(settings: TrainSettings, level: int) -> str:

@@ -153,6 +153,11 @@ def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
     return TrainState(**header, rows=[EpochRow(**row) for row in fields["rows"]]), tensors
 
 
+def has_weights(tensors: Mapping[str, Tensor]) -> bool:
+    """Whether these tensors of a state are those of a level that has begun."""
+    return any(name.startswith(_WEIGHTS) for name in tensors)
+
+
 def check_progress(folder: Path, state: TrainState, epochs: Sequence[int],
                    resolutions: Sequence[int]) -> None:
     """Refuse a state that no run with these settings can reach.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+
 import pytest
 import torch
 
@@ -12,6 +15,7 @@ from ocnf_model.tensorfile import read_header
 from ocnf_model.training.options import merge_options
 from ocnf_model.training.run import train
 from ocnf_model.training.settings import Stage
+from ocnf_model.training.stage import Trainer
 
 STILL = {"epochs": 1, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-30, "weight_decay": 0}
 """A rate so small that the weights stay where they begin."""
@@ -146,6 +150,55 @@ def test_what_is_not_said_of_the_architecture_is_as_in_the_run_to_start_from(tin
     cut = cut.model_copy(update={"stages": (Stage(crop=64),)})
     with pytest.raises(OcnfError, match=r"settings as in .*first: stages\[0\].crop: .* needs the whole grid"):
         train(tiny, tmp_path / "cut", cut, device="cpu")
+
+
+@pytest.fixture
+def stopped_before_its_second_level(tiny, small, tmp_path, monkeypatch):
+    """Settings and folder of a run that starts from another, whose second level has yet to begin."""
+    train(tiny, tmp_path / "start", small(), device="cpu")
+    settings = small(stages=[STILL], start=str(tmp_path / "start"))
+    run = Trainer.run
+
+    def stop(self: Trainer) -> None:
+        if self._state.level == 1:
+            raise KeyboardInterrupt
+        run(self)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Trainer, "run", stop)
+        train(tiny, tmp_path / "run", settings, device="cpu")
+    return settings, tmp_path / "run"
+
+
+def test_levels_yet_to_begin_begin_with_the_weights_of_when_the_run_was(
+        tiny, small, tmp_path, stopped_before_its_second_level) -> None:
+    settings, run = stopped_before_its_second_level
+    start = tmp_path / "start"
+    before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    kept = (start / "level-2.safetensors").read_bytes()
+    shutil.rmtree(start)
+    train(tiny, start, small(seed=1), device="cpu")
+    with pytest.raises(OcnfError, match=r"start, level 2: the run to start from has changed.*level-2.safe"):
+        train(tiny, run, settings, device="cpu")
+    (start / "level-2.safetensors").unlink()
+    with pytest.raises(OcnfError, match=r"start, level 2: .*that is not there, expected with SHA-256"):
+        train(tiny, run, settings, device="cpu")
+    assert {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
+    (start / "level-2.safetensors").write_bytes(kept)  # the first level is done: what it began with is past
+    train(tiny, run, settings, device="cpu")
+    shutil.rmtree(start)
+    train(tiny, start, small(seed=1), device="cpu")
+    again = {**STILL, "epochs": 2}
+    train(tiny, run, small(stages=[STILL, again], start=str(start)), device="cpu")  # all levels have begun
+
+
+def test_a_run_of_before_starts_were_recorded_goes_on(
+        tiny, small, tmp_path, stopped_before_its_second_level) -> None:
+    settings, run = stopped_before_its_second_level
+    fields = json.loads((run / "settings.json").read_text())
+    assert len(fields.pop("start")) == 2
+    (run / "settings.json").write_text(json.dumps(fields))
+    assert len(train(tiny, run, settings, device="cpu").levels) == 2
 
 
 def test_another_network_is_refused_before_anything_is_written(tiny, small, tmp_path) -> None:

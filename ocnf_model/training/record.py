@@ -1,0 +1,120 @@
+"""What a run is, in RUN/settings.json: written when it is begun, compared whenever it goes on.
+
+    {"schema": 1,
+     "settings": all settings, resolved,
+     "data": what the manifest says of the data set, and its checksum,
+     "start": SHA-256 of the checkpoint of each level that begins with the weights of another run,
+     "extended": epochs that were changed since, see `epochs`}
+
+Versions before wrote no `start`: what is missing is not compared.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import Sha256, canonical_json
+from ocnf_data.files.storage import Store
+from ocnf_data.files.validation import Strict, validate
+from ocnf_model.header import TrainingData
+from ocnf_model.training.data import SAMPLES, VALIDATION
+from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
+
+SETTINGS = "settings.json"
+_SCHEMA = 1
+_MAX_SETTINGS = 16 * 2**20  # bytes
+
+
+class _Sums(Strict):
+    """The checksums beside the data set's own."""
+
+    start: tuple[Sha256, ...] | None = None
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What a run was begun with.
+
+    Attributes:
+        settings: resolved, with the epochs that it has now.
+        data: the data set that it is trained on.
+        start: SHA-256 of the checkpoints that its levels begin with, from the first level on; None where a
+            version began it that did not write them, or where it starts from no run.
+    """
+
+    settings: TrainSettings
+    data: TrainingData
+    start: tuple[str, ...] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        fields = {"schema": _SCHEMA, "settings": self.settings.to_dict(),
+                  "data": self.data.model_dump(mode="json")}
+        return fields if self.start is None else {**fields, "start": list(self.start)}
+
+
+def is_begun(folder: Path) -> bool:
+    """Whether the folder is a run's."""
+    return Store(folder).exists(SETTINGS)
+
+
+def write_record(folder: Path, record: RunRecord) -> None:
+    """Write down what a run is that begins."""
+    Store(folder).put_bytes(SETTINGS, canonical_json(record.to_dict(), indent=2))
+
+
+def read_record(folder: Path) -> RunRecord:
+    """What a run's folder says it is.
+
+    Raises:
+        OcnfError: it is missing, damaged or of another schema.
+    """
+    where = Store(folder).where(SETTINGS)
+    try:
+        fields = json.loads(Store(folder).read_at_most(SETTINGS, _MAX_SETTINGS))
+    except (ValueError, RecursionError) as error:
+        raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
+    if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
+        raise OcnfError("not the settings of a run of this version", code="schema", where=where)
+    sums = validate(_Sums, {name: fields[name] for name in _Sums.model_fields if name in fields}, where)
+    return RunRecord(read_settings(fields.get("settings"), where),
+                  validate(TrainingData, fields.get("data"), where), sums.start)
+
+
+def refuse_strangers(folder: Path) -> None:
+    """Refuse a folder that is no run and holds anything but what `prepare` made before it was stopped."""
+    store = Store(folder)
+    if store.exists(SETTINGS):
+        return
+    strangers = [name for name in store.list()
+                 if name != ".lock" and not name.startswith((f"{VALIDATION}/", f"{SAMPLES}/"))]
+    if strangers:
+        raise OcnfError("the folder is not empty, and not a run", code="occupied", where=store.url,
+                        found=strangers[0], fix="name a new folder: nothing is overwritten")
+
+
+def refuse_another_run(folder: Path, ours: RunRecord, begun: RunRecord, but_epochs: bool) -> None:
+    """Refuse to go on with a run that was begun with something else.
+
+    Args:
+        folder: folder of the run.
+        ours: what this start was asked for.
+        begun: what the run was begun with.
+        but_epochs: the settings are known to differ in numbers of epochs, and in nothing else that counts.
+
+    Raises:
+        OcnfError: code `misfit`; the first field that differs, with both values.
+    """
+    if not but_epochs and (found := setting_difference(ours.settings, begun.settings)):
+        field, mine, theirs = found
+        raise OcnfError("the run was begun with other settings", code="misfit", where=folder, field=field,
+                        found=mine, expected=theirs, fix="pass the same settings, or name a new folder")
+    if ours.data.checksum != begun.data.checksum:
+        raise OcnfError("the run was begun on another data set", code="misfit", where=folder, field="data",
+                        found=f"{ours.data.name} {ours.data.checksum[:12]}",
+                        expected=f"{begun.data.name} {begun.data.checksum[:12]}",
+                        fix="pass the same data set, or name a new folder")
