@@ -3,10 +3,11 @@
     {"schema": 1,
      "settings": all settings, resolved,
      "data": what the manifest says of the data set, and its checksum,
+     "validation": checksum of the data set that it is validated with,
      "start": SHA-256 of the checkpoint of each level that begins with the weights of another run,
      "extended": epochs that were changed since, see `epochs`}
 
-Versions before wrote no `start`: what is missing is not compared.
+Versions before wrote no `validation` and no `start`: what is missing is not compared.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ _MAX_SETTINGS = 16 * 2**20  # bytes
 class _Sums(Strict):
     """The checksums beside the data set's own."""
 
+    validation: Sha256 | None = None
     start: tuple[Sha256, ...] | None = None
 
 
@@ -42,19 +44,23 @@ class RunRecord:
     Attributes:
         settings: resolved, with the epochs that it has now.
         data: the data set that it is trained on.
+        validation: checksum of the data set that it is validated with; None where a version began it that did
+            not write it.
         start: SHA-256 of the checkpoints that its levels begin with, from the first level on; None where a
             version began it that did not write them, or where it starts from no run.
     """
 
     settings: TrainSettings
     data: TrainingData
+    validation: str | None = None
     start: tuple[str, ...] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
-        fields = {"schema": _SCHEMA, "settings": self.settings.to_dict(),
-                  "data": self.data.model_dump(mode="json")}
-        return fields if self.start is None else {**fields, "start": list(self.start)}
+        sums = {"validation": self.validation, "start": None if self.start is None else list(self.start)}
+        return {"schema": _SCHEMA, "settings": self.settings.to_dict(),
+                "data": self.data.model_dump(mode="json"),
+                **{name: value for name, value in sums.items() if value is not None}}
 
 
 def is_begun(folder: Path) -> bool:
@@ -82,7 +88,7 @@ def read_record(folder: Path) -> RunRecord:
         raise OcnfError("not the settings of a run of this version", code="schema", where=where)
     sums = validate(_Sums, {name: fields[name] for name in _Sums.model_fields if name in fields}, where)
     return RunRecord(read_settings(fields.get("settings"), where),
-                  validate(TrainingData, fields.get("data"), where), sums.start)
+                  validate(TrainingData, fields.get("data"), where), sums.validation, sums.start)
 
 
 def refuse_strangers(folder: Path) -> None:
@@ -118,3 +124,8 @@ def refuse_another_run(folder: Path, ours: RunRecord, begun: RunRecord, but_epoc
                         found=f"{ours.data.name} {ours.data.checksum[:12]}",
                         expected=f"{begun.data.name} {begun.data.checksum[:12]}",
                         fix="pass the same data set, or name a new folder")
+    if begun.validation is not None and ours.validation != begun.validation:
+        # Which epoch is best is told by comparing them: all have to be measured on the same samples.
+        raise OcnfError("the run is validated with another data set", code="misfit", where=folder,
+                        field="validation", found=str(ours.validation)[:12], expected=begun.validation[:12],
+                        fix="pass the same --val, or without it the same data set, or name a new folder")

@@ -91,6 +91,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
                 _begin(folder, RunRecord(settings, _training_data(source, folder, settings),
+                                      source.validation(folder, settings, 0).checksum,
                                       start_checksums(settings)))
             world.wait()
             return _run(source, folder, settings, network.to(world.device), n_started, world, console)

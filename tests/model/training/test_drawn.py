@@ -178,6 +178,20 @@ def test_another_manifest_or_mixture_is_refused(finished, manifest, variants, sm
         train(variants, out, small(levels=1, variant="v1"), device="cpu")
 
 
+def test_all_epochs_of_a_run_are_validated_with_the_same_samples(tiny, variants, small, out) -> None:
+    settings = small(levels=1, samples_per_epoch=2, variant="v2",
+                     mixture=[{"data": variants, "variant": "v1"}], stages=[STAGES[0] | {"epochs": 1}])
+    train(tiny, out, settings, device="cpu")
+    fields = json.loads((out / "settings.json").read_text())
+    for data, val in ((variants, None), (tiny, variants)):
+        with pytest.raises(OcnfError, match="validation: the run is validated with another data set"):
+            train(data, out, settings, device="cpu", val=val)
+    train(variants, out, settings, device="cpu", val=tiny)  # which is the same
+    del fields["validation"]  # as versions before wrote it
+    (out / "settings.json").write_text(json.dumps(fields))
+    train(tiny, out, settings, device="cpu", val=variants)
+
+
 def test_what_a_manifest_lacks_is_said(small, tmp_path, out, tiny) -> None:
     path = tmp_path / "lacks.yaml"
     for changes, message in (
