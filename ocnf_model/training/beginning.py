@@ -70,7 +70,7 @@ def check_start(folder: Path, settings: TrainSettings) -> None:
     begun = read_record(folder)
     if begun.start is None or begun.settings.start != settings.start:
         return
-    state, tensors = load_state(folder)
+    state, tensors = load_state(folder, note=False)
     there = start_checksums(begun.settings) or ()
     for level in range(state.level + has_weights(tensors), max(len(there), len(begun.start))):
         found, expected = (_checksum(sums, level) for sums in (there, begun.start))

@@ -10,6 +10,7 @@ from typing import Any
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
+from ocnf_model.training.record import SETTINGS
 from ocnf_model.training.settings import TrainSettings
 from ocnf_model.training.train_state import TrainState
 
@@ -37,9 +38,8 @@ def _without_epochs(settings: TrainSettings) -> dict[str, Any]:
     return {**settings.decisive(), "stages": [{**stage, "epochs": None} for stage in stages]}
 
 
-def change_epochs(folder: Path, name: str, settings: TrainSettings, changed: Mapping[int, tuple[int, int]],
-                  state: TrainState) -> None:
-    """Write down that a run goes on for longer, or ends earlier.
+def check_epochs(folder: Path, changed: Mapping[int, tuple[int, int]], state: TrainState) -> None:
+    """Refuse what cannot be changed any more.
 
     The level in training and those after it may get more epochs, and so may the last one when all is done;
     and fewer, but not fewer than have begun. A learning rate that falls by a cosine goes on on the other
@@ -47,8 +47,6 @@ def change_epochs(folder: Path, name: str, settings: TrainSettings, changed: Map
 
     Args:
         folder: folder of the run.
-        name: name of its settings file.
-        settings: settings of this start.
         changed: the levels that get other epochs, from `changed_epochs`.
         state: where the run is.
 
@@ -67,11 +65,23 @@ def change_epochs(folder: Path, name: str, settings: TrainSettings, changed: Map
             raise OcnfError("fewer epochs than have begun", code="misfit", where=folder, field=field,
                             found=now, expected=f"at least {begun[level]}",
                             fix="take that many, or begin a new run")
+
+
+def write_epochs(folder: Path, settings: TrainSettings, changed: Mapping[int, tuple[int, int]],
+                 state: TrainState) -> None:
+    """Write down that a run goes on for longer, or ends earlier.
+
+    Args:
+        folder: folder of the run.
+        settings: settings of this start.
+        changed: the levels that get other epochs, from `changed_epochs`.
+        state: where the run is.
+    """
     store = Store(folder)
-    fields = json.loads(store.read_bytes(name))
+    fields = json.loads(store.read_bytes(SETTINGS))
     done = {level: state.epoch if level == state.level else 0 for level in changed}
     fields[CHANGED] = [*fields.get(CHANGED, []), *(
         {"level": level + 1, "epochs": before, "raised_to" if now > before else "lowered_to": now,
          "done": done[level]} for level, (before, now) in changed.items())]
     fields["settings"] = settings.to_dict()
-    store.put_bytes(name, canonical_json(fields, indent=2))
+    store.put_bytes(SETTINGS, canonical_json(fields, indent=2))

@@ -28,9 +28,8 @@ from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import DataSource, StoredData, open_data
-from ocnf_model.training.epochs import change_epochs, changed_epochs
+from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
-    SETTINGS,
     RunRecord,
     is_begun,
     read_record,
@@ -38,9 +37,10 @@ from ocnf_model.training.record import (
     refuse_strangers,
     write_record,
 )
+from ocnf_model.training.resume import check_state
 from ocnf_model.training.settings import TrainSettings
 from ocnf_model.training.stage import Job, Trainer
-from ocnf_model.training.train_state import TrainState, check_progress, load_state, save_state
+from ocnf_model.training.train_state import TrainState, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 
@@ -90,9 +90,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         network, n_started = first_network(settings)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
-                _begin(folder, RunRecord(settings, _training_data(source, folder, settings),
-                                      source.validation(folder, settings, 0).checksum,
-                                      start_checksums(settings)))
+                _begin(source, folder, settings, network)
             world.wait()
             return _run(source, folder, settings, network.to(world.device), n_started, world, console)
 
@@ -111,8 +109,6 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, network: Oct
     assert settings.output is not None and settings.resolutions is not None  # resolved
     training_data = _training_data(source, folder, settings)
     state, tensors = load_state(folder)
-    check_progress(folder, state, [settings.stage(level).epochs for level in range(settings.levels)],
-                   settings.resolutions)
     if world.is_main and state.rows:
         write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
@@ -145,17 +141,23 @@ def _training_data(source: DataSource, folder: Path, settings: TrainSettings) ->
         truncation_voxels=manifest["truncation_voxels"])
 
 
-def _begin(folder: Path, ours: RunRecord) -> None:
-    """Write down what the run is; refuse a folder that holds something else."""
+def _begin(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion) -> None:
+    """Write down what the run is, once nothing speaks against its going on; refuse anything else's folder."""
+    ours = RunRecord(settings, _training_data(source, folder, settings),
+                  source.validation(folder, settings, 0).checksum, start_checksums(settings))
     if not is_begun(folder):
         refuse_strangers(folder)
         write_record(folder, ours)
         return
     begun = read_record(folder)
-    changed = changed_epochs(ours.settings, begun.settings)
+    changed = changed_epochs(settings, begun.settings)
     refuse_another_run(folder, ours, begun, but_epochs=bool(changed))
+    state, tensors = load_state(folder, note=False)
+    check_epochs(folder, changed, state)
+    training = source.training(folder, settings, state.level) if state.level < settings.levels else None
+    check_state(folder, settings, network, training, state, tensors)
     if changed:
-        change_epochs(folder, SETTINGS, ours.settings, changed, load_state(folder)[0])
+        write_epochs(folder, settings, changed, state)
 
 
 def _less_memory(settings: TrainSettings, level: int) -> str:

@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.octree.bits import TREE_WIDTH
 from ocnf_model.checkpoint import checkpoint_sha256, save_checkpoint, torch_version
@@ -31,7 +30,7 @@ from ocnf_model.training.crops import crop_losses, draw_corners
 from ocnf_model.training.curves import Reporter
 from ocnf_model.training.objective import objective, voxel_weights
 from ocnf_model.training.settings import TrainSettings
-from ocnf_model.training.train_state import EpochRow, TrainState, check_step, restore, save_state
+from ocnf_model.training.train_state import EpochRow, TrainState, restore, save_state
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
@@ -65,7 +64,7 @@ class Trainer:
 
     Args:
         job: what the stage needs.
-        state: where the run is; kept up to date.
+        state: where the run is, as `resume` has checked it; kept up to date.
         tensors: tensors of the state that the run resumes from.
         report: shows the progress; called at every step.
     """
@@ -78,8 +77,6 @@ class Trainer:
         self._optimiser = torch.optim.Adam(self._parameters, self._stage.learning_rate,
                                            weight_decay=self._stage.weight_decay)
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
-        check_step(job.folder, state, len(job.training), self._stage.accumulate,
-                   exact=job.settings.on_error is OnError.RAISE)
         decay = job.settings.average
         self._average = WeightAverage(self._level, decay) if decay else None
         restore(tensors, self._level, self._optimiser, self._average)

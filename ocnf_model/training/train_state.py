@@ -136,8 +136,12 @@ def save_state(folder: Path, state: TrainState, level: nn.Module | None = None,
     write_tensors(folder / STATE, tensors, {"schema": _SCHEMA, **asdict(state)})
 
 
-def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
+def load_state(folder: Path, note: bool = True) -> tuple[TrainState, dict[str, Tensor]]:
     """The state, and the tensors for `restore`; the beginning where there is no state yet.
+
+    Args:
+        folder: folder of the run.
+        note: log it where the state has no checksum.
 
     Raises:
         OcnfError: the state is damaged or of another schema.
@@ -145,7 +149,7 @@ def load_state(folder: Path) -> tuple[TrainState, dict[str, Tensor]]:
     path = folder / STATE
     if not path.is_file():
         return TrainState(), {}
-    tensors, fields = read_tensors(path)
+    tensors, fields = read_tensors(path, note=note)
     if fields.get("schema") != _SCHEMA:
         raise OcnfError("the run was begun by another version", code="schema", where=path,
                         fix="finish it with that version, or begin a new run")
@@ -227,7 +231,7 @@ def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.op
     weights = _below(tensors, _WEIGHTS)
     if not weights:
         return
-    _check_tensors(tensors, level, average is not None)
+    check_tensors(tensors, level, average is not None)
     level.load_state_dict(weights)
     if average is not None:
         average.restore(_below(tensors, _AVERAGE))
@@ -241,8 +245,19 @@ def restore(tensors: Mapping[str, Tensor], level: nn.Module, optimiser: torch.op
                                           for moment, tensor in kept.items()}
 
 
-def _check_tensors(tensors: Mapping[str, Tensor], level: nn.Module, averaged: bool) -> None:
-    """Refuse other tensors than weights, averages, moments once there was a step, and the random state."""
+def check_tensors(tensors: Mapping[str, Tensor], level: nn.Module, averaged: bool) -> None:
+    """Refuse other tensors than weights, averages, moments once there was a step, and the random state.
+
+    Args:
+        tensors: tensors of a state; any where the level has not begun.
+        level: the level that they are of.
+        averaged: whether a running average of the weights is kept.
+
+    Raises:
+        OcnfError: code `damaged`, with the tensor.
+    """
+    if not has_weights(tensors):
+        return
     expected = {prefix + name: TensorKind.of(tensor) for name, tensor in level.state_dict().items()
                 for prefix in ((_WEIGHTS, _AVERAGE) if averaged else (_WEIGHTS,))}
     if any(name.startswith(_ADAM) for name in tensors):  # none before the first step

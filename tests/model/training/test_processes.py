@@ -11,6 +11,7 @@ import sys
 import pytest
 import torch
 
+from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import load_run
 from ocnf_model.training.run import train
 from ocnf_model.training.train_state import load_state
@@ -84,3 +85,9 @@ def test_two_ranks_have_the_losses_of_one_with_twice_the_batch(tiny, small, tmp_
     first, second = (load_run(folder).state_dict() for folder in (tmp_path / "one", out))
     for name, tensor in first.items():
         torch.testing.assert_close(second[name], tensor, rtol=1e-3, atol=1e-4)
+    # The samples of its second level are dealt out to two, and how many it takes is said; nothing is written.
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    stages = [*stages, {**stages[0], "epochs": 3}]
+    with pytest.raises(OcnfError, match=r"processes: .*found 1, expected 2. .*torchrun --nproc-per-node 2"):
+        train(tiny, out, small(stages=stages), device="cpu")
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
