@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +26,9 @@ LEVELS = 2
 """Resolutions of a sample: 64 and 128 along the sides."""
 SHRINK = 2
 """Voxels of a scene along a voxel of the finest resolution: 5 mm become 10 mm."""
+# Of a file that is empty, cut off or changed; RuntimeError where a member looks encrypted, or packed in a way
+# that zipfile does not know.
+_NOT_ONE = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, OcnfError)
 _TOLERANCE = (0.02, 0.2)  # of the inputs' octrees, coarse to fine
 
 
@@ -119,11 +124,14 @@ def load_sample(file: Path, name: str, levels: int = LEVELS) -> FrameSample:
         OcnfError: it is damaged.
     """
     try:
+        with zipfile.ZipFile(file) as archive:  # numpy reads an array's header before it is known to be whole
+            if (bad := archive.testzip()) is not None:
+                raise zipfile.BadZipFile(f"the checksum of {bad} does not match")
         with np.load(file, allow_pickle=False) as arrays:
             inputs, truths = ([GridOctree(arrays[f"{kind}{level}.trees"],
                                           arrays[f"{kind}{level}.data"].astype(np.float32))
                                for level in range(levels)] for kind in ("input", "target"))
-    except (OSError, ValueError, KeyError) as error:
+    except _NOT_ONE as error:
         raise OcnfError("not a kept sample", code="damaged", where=file, found=error,
                         fix="delete it: it is made again") from error
     return FrameSample(name, tuple(inputs), tuple(truths))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.octree import GridOctree
 from ocnf_model.completion.data import UPRIGHT
 from ocnf_model.completion.encoding import (
     CHANNELS,
@@ -94,9 +96,22 @@ def test_a_sample_is_the_padded_scene_at_each_resolution(tabletop: Callable[...,
     kept = load_sample(tmp_path / "a.npz", "a", levels=1)
     assert len(kept.inputs) == 1
     np.testing.assert_allclose(kept.inputs[0].data, sample.inputs[0].data, atol=1e-3)
-    (tmp_path / "a.npz").write_bytes(b"PK")
-    with pytest.raises(OcnfError, match="not a kept sample"):
-        load_sample(tmp_path / "a.npz", "a")
+
+
+def test_a_kept_sample_that_is_damaged_is_said_to_be(tmp_path: Path) -> None:
+    octree = GridOctree.from_dense(np.random.default_rng(0).random((1, 16, 16, 16)).astype(np.float32))
+    file, chance = tmp_path / "a.npz", random.Random(0)
+    save_sample(file, FrameSample("a", (octree, octree), (octree, octree)))
+    whole = file.read_bytes()
+    header = whole.index(b"descr")  # of the first array
+    flipped = [*range(header, header + 100), *range(header + 100, whole.index(b"PK\3\4", header), 29)]
+    flips = [whole[:at] + bytes([whole[at] ^ 1 << chance.randrange(8)]) + whole[at + 1:] for at in flipped]
+    directory = whole.index(b"PK\1\2")
+    encrypted, packed = (whole[:directory + at] + b"\x63" + whole[directory + at + 1:] for at in (8, 10))
+    for data in (b"", b"PK", whole[:len(whole) // 2], whole[:-1], encrypted, packed, *flips):
+        file.write_bytes(data)
+        with pytest.raises(OcnfError, match=r"a\.npz: not a kept sample.*Delete it"):
+            load_sample(file, "a")
 
 
 def test_turning_leaves_up_where_it_is(tabletop: Callable[..., Tabletop]) -> None:
