@@ -9,7 +9,7 @@ from real ones. Which frames make a batch, and how they are turned, is a functio
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,8 @@ class FrameDataset(EpochDataset):
         seed: of the draws.
         batch_size: samples a batch, for each rank.
         synthetic: names of the synthetic frames.
-        synthetic_epochs: epochs, the first ones, that only have synthetic frames.
+        synthetic_epochs: epochs, the first ones, that only have synthetic frames; a state that is loaded has
+            its own number of them.
         n_samples: samples in an epoch, drawn and turned; None for each frame once.
     """
 
@@ -137,6 +138,21 @@ class FrameDataset(EpochDataset):
     def checksum(self) -> str:
         """SHA-256 of what the samples are made of."""
         return self._checksum
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """As of every loader, but the state's number of synthetic epochs is taken over.
+
+        It is a share of the level's epochs, which may be changed when those with synthetic frames are over.
+        """
+        begun = state.get("synthetic_epochs") if isinstance(state, Mapping) else None
+        ours = self._synthetic_epochs
+        if self._synthetic and self._level == 0 and type(begun) is int and begun >= 0:
+            self._synthetic_epochs = begun
+        try:
+            super().load_state_dict(state)
+        except OcnfError:
+            self._synthetic_epochs = ours
+            raise
 
     def _order(self) -> dict[str, Any]:
         partition = self._partition

@@ -23,6 +23,8 @@ from ocnf_model.completion.train import completion_settings
 from ocnf_model.completion.visible import Visible
 from ocnf_model.completion.voxlets import list_frames, read_truth
 from ocnf_model.training.run import train
+from ocnf_model.training.settings import TrainSettings
+from ocnf_model.training.train_state import load_state
 
 SCENES = 6
 
@@ -162,6 +164,27 @@ def test_a_run_goes_on_where_it_was_stopped_with_the_same_result(voxlets: Path, 
         train(source, tmp_path / "parts", chosen, device="cpu")
     parts = train(CompletionData(voxlets, 1), tmp_path / "parts", chosen, device="cpu").state_dict()
     assert all(np.array_equal(whole[name].numpy(), parts[name].numpy()) for name in whole)
+
+
+def test_the_first_level_may_be_given_other_epochs(voxlets: Path, tmp_path: Path) -> None:
+    """Those with synthetic scenes alone are over when it goes on: they stay as many as they were."""
+    def chosen(epochs: int) -> TrainSettings:
+        return completion_settings({
+            "channels": [2, 4, 4], "levels": 1, "samples_per_epoch": 2,
+            "stages": [{"epochs": epochs, "batch_size": 2, "accumulate": 1, "learning_rate": 0.01}]})
+
+    for epochs in (2, 5):
+        train(CompletionData(voxlets, 1), tmp_path / "run", chosen(epochs), device="cpu")
+        state = load_state(tmp_path / "run")[0]
+        assert (state.epoch, state.loader["synthetic_epochs"]) == (epochs, 1)
+    data = CompletionData(voxlets, 1)
+    dataset, anew = (data.training(tmp_path / "run", chosen(5), 0) for _ in range(2))
+    dataset.load_state_dict({**state.loader, "epoch": 1, "step": 0})
+    anew.set_epoch(1)
+    assert any("synthetic" not in key for batch in dataset for key in batch.keys)
+    assert all("synthetic" in key for batch in anew for key in batch.keys)
+    with pytest.raises(OcnfError, match="synthetic_epochs"):
+        dataset.load_state_dict({**state.loader, "synthetic_epochs": -1})
 
 
 def test_the_forest_learns_where_solids_go_on(voxlets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
