@@ -22,6 +22,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
+from ocnf_data.errors import OcnfError
 from ocnf_model.devices import pick_device
 
 
@@ -76,9 +77,9 @@ def join_world(device: str) -> Iterator[World]:
         device: `auto`, `cpu`, `cuda`, or `cuda:1`.
 
     Raises:
-        OcnfError: no such device.
+        OcnfError: no such device, or the environment is only half that of a process that `torchrun` started.
     """
-    size = int(os.environ.get("WORLD_SIZE", "1"))
+    size = _world_size()
     if size == 1 or dist.is_initialized():
         rank, size = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
         yield World(pick_device(device), rank, size)
@@ -93,6 +94,22 @@ def join_world(device: str) -> Iterator[World]:
         yield World(chosen, dist.get_rank(), dist.get_world_size())
     finally:
         dist.destroy_process_group()
+
+
+def _world_size() -> int:
+    """How many processes train together by the environment, which has to say all or nothing of them."""
+    text = os.environ.get("WORLD_SIZE", "").strip() or "1"
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise OcnfError("not a number of processes", where="the environment", field="WORLD_SIZE", found=text,
+                        expected="an integer, at least 1")
+    if int(text) > 1 and not dist.is_initialized():
+        for name in ("RANK", "MASTER_ADDR", "MASTER_PORT"):
+            if not os.environ.get(name):
+                raise OcnfError(f"WORLD_SIZE is {text}, and the other variables of torchrun are not all set",
+                                code="missing", where="the environment", field=name,
+                                fix=f"start the processes with `torchrun --nproc-per-node {text} -m "
+                                    "ocnf_model.cli train ...`, or unset WORLD_SIZE to train with one")
+    return int(text)
 
 
 def _backend(device: torch.device) -> str:

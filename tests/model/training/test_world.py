@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
+from ocnf_data.errors import OcnfError
 from ocnf_model.training import world
+
+TORCHRUN = {"WORLD_SIZE": "8", "RANK": "0", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "29500"}
 
 
 @pytest.mark.parametrize(("local_rank", "n_here", "device", "backend"), [
@@ -14,7 +17,8 @@ def test_ranks_share_the_gpus_there_are(monkeypatch, local_rank: int, n_here: in
                                         backend: str) -> None:
     """With two GPUs: one each as far as they go, then in turn, and by way of the host."""
     asked = {}
-    monkeypatch.setenv("WORLD_SIZE", "8")
+    for name, value in TORCHRUN.items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setenv("LOCAL_RANK", str(local_rank))
     monkeypatch.setenv("LOCAL_WORLD_SIZE", str(n_here))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
@@ -33,3 +37,17 @@ def test_ranks_share_the_gpus_there_are(monkeypatch, local_rank: int, n_here: in
 def test_ranks_on_cpus_talk_by_gloo(monkeypatch) -> None:
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "1")
     assert world._backend(torch.device("cpu")) == "gloo"
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"RANK": None}, "the environment: RANK: WORLD_SIZE is 8, .*torchrun --nproc-per-node 8"),
+    ({"MASTER_ADDR": None}, "MASTER_ADDR: WORLD_SIZE is 8"),
+    ({"MASTER_PORT": ""}, "MASTER_PORT: WORLD_SIZE is 8"),
+    ({"WORLD_SIZE": "two"}, "WORLD_SIZE: not a number of processes; found two"),
+    ({"WORLD_SIZE": "0"}, "WORLD_SIZE: not a number of processes; found 0"),
+])
+def test_half_an_environment_of_torchrun_is_refused(monkeypatch, changes: dict, message: str) -> None:
+    for name, value in {**TORCHRUN, **changes}.items():
+        monkeypatch.delenv(name, raising=False) if value is None else monkeypatch.setenv(name, value)
+    with pytest.raises(OcnfError, match=message), world.join_world("cpu"):
+        pass
