@@ -1,6 +1,6 @@
 """What completion trains on: frames of real and synthetic scenes, made into octrees once and kept.
 
-    RUN/samples/NAME.npz        a frame's octrees at all resolutions; may be deleted, they are made again
+    RUN/samples/VERSION-NAME.npz    a frame's octrees at all resolutions; may be deleted, they are made again
 
 The first level's first epochs draw from synthetic scenes alone; everything later, which fine-tunes, mostly
 from real ones. Which frames make a batch, and how they are turned, is a function of (seed, epoch, place).
@@ -22,8 +22,17 @@ from ocnf_data.files.records import canonical_json, sha256_hex
 from ocnf_data.loading.epochs import EpochDataset, place_in_world
 from ocnf_data.loading.order import Partition, Uneven
 from ocnf_data.octree.symmetry import SYMMETRIES, Symmetry
-from ocnf_model.completion.sample import LEVELS, SHRINK, SIZE, FrameSample, kept, load_sample, save_sample
-from ocnf_model.completion.synthetic import VIEWS_PER_SCENE, synthetic_tabletops
+from ocnf_model.completion.sample import (
+    LEVELS,
+    SAMPLE_VERSION,
+    SHRINK,
+    SIZE,
+    FrameSample,
+    kept,
+    load_sample,
+    save_sample,
+)
+from ocnf_model.completion.synthetic import VIEWS_PER_SCENE, frame_name, synthetic_tabletops
 from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.visible import TRUNCATION
 from ocnf_model.completion.voxlets import VoxletsFrame, list_frames
@@ -37,7 +46,6 @@ _HELD_OUT = 6  # every so manieth scene of the training split is validated with
 _SYNTHETIC_EPOCHS = 0.4  # of the first level's epochs, the first ones
 _SYNTHETIC_SHARE = 0.2  # of the samples of later epochs and levels
 _VOXEL = 0.005  # metres
-_VERSION = "ocnf.completion.1"  # another one wherever the same frame would give other octrees
 
 
 def held_out(frames: Sequence[VoxletsFrame]) -> tuple[list[VoxletsFrame], list[VoxletsFrame]]:
@@ -82,7 +90,7 @@ class CompletionData:
             if not kept(samples, frame.name).is_file():
                 jobs.append((frame.name, lambda frame=frame: [frame.read()]))  # type: ignore[misc]
         for index in range(self._scenes):
-            names = _names(index)
+            names = self._names(index)
             if not all(kept(samples, name).is_file() for name in names):
                 jobs.append((names[-1], lambda index=index: synthetic_tabletops(  # type: ignore[misc]
                     self._seed, index)))
@@ -93,7 +101,7 @@ class CompletionData:
     def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """Turned and mirrored frames, synthetic ones first."""
         real = [frame.name for frame in self.training_frames]
-        synthetic = [name for index in range(self._scenes) for name in _names(index)]
+        synthetic = [name for index in range(self._scenes) for name in self._names(index)]
         first = round(_SYNTHETIC_EPOCHS * settings.stage(0).epochs) if synthetic and level == 0 else 0
         return FrameDataset(folder / SAMPLES, real, level, self._checksum(real), seed=settings.seed,
                             batch_size=settings.stage(level).batch_size, synthetic=synthetic,
@@ -104,8 +112,11 @@ class CompletionData:
         names = [frame.name for frame in self.validation_frames]
         return FrameDataset(folder / SAMPLES, names, level, self._checksum(names))
 
+    def _names(self, index: int) -> list[str]:
+        return [frame_name(self._seed, index, view) for view in range(VIEWS_PER_SCENE)]
+
     def _checksum(self, names: Sequence[str]) -> str:
-        return sha256_hex(canonical_json([_VERSION, list(names), self._scenes, self._seed]))
+        return sha256_hex(canonical_json([SAMPLE_VERSION, list(names), self._scenes, self._seed]))
 
 
 class FrameDataset(EpochDataset):
@@ -184,7 +195,3 @@ class FrameDataset(EpochDataset):
 
     def _load(self, name: str) -> FrameSample:
         return load_sample(kept(self._folder, name), name, self._level + 1)
-
-
-def _names(index: int) -> list[str]:
-    return [f"synthetic/tabletop-{index}/{i}" for i in range(VIEWS_PER_SCENE)]

@@ -20,6 +20,8 @@ from ocnf_model.completion.padding import padded, padded_shape
 from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.visible import Visible
 
+SAMPLE_VERSION = "ocnf.completion.1"
+"""Another one wherever the same frame would give other octrees."""
 SIZE = 128
 """Voxels along the sides of the network's grid, at its finest resolution."""
 LEVELS = 2
@@ -99,8 +101,8 @@ def _padded_free(volume: F32, shape: tuple[int, int, int]) -> F32:
 
 
 def kept(folder: Path, name: str) -> Path:
-    """The file of a sample in a cache's folder."""
-    return folder / f"{name.replace(os.sep, '-')}.npz"
+    """The file of a sample in a cache's folder; samples of another version have other files."""
+    return folder / f"{SAMPLE_VERSION}-{name.replace(os.sep, '-')}.npz"
 
 
 def save_sample(file: Path, sample: FrameSample) -> None:

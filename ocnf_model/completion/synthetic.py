@@ -56,8 +56,13 @@ def synthetic_tabletops(seed: int, index: int, views: int = VIEWS_PER_SCENE) -> 
     for i in range(views):
         noisy = add_sensor_noise(clean[i], K, sensor_draws(seed, key, i, _SIZE))
         view = Views(noisy[None], K, R[i: i + 1], T[i: i + 1])
-        frames.append(Tabletop(f"synthetic/{key}/{i}", view, _VOXEL, tsdf))
+        frames.append(Tabletop(frame_name(seed, index, i), view, _VOXEL, tsdf))
     return frames
+
+
+def frame_name(seed: int, index: int, view: int) -> str:
+    """The name of a frame, which says all that it depends on."""
+    return f"synthetic-{seed}/tabletop-{index}/{view}"
 
 
 def _in_grid(vertices: F64) -> tuple[F64, tuple[int, int, int]]:

@@ -14,9 +14,10 @@ from ocnf_data.errors import OcnfError
 from ocnf_model.completion.data import CompletionData
 from ocnf_model.completion.encoding import CHANNELS
 from ocnf_model.completion.predict import CompletionNetwork, choose_threshold, write_threshold
-from ocnf_model.completion.sample import LEVELS
+from ocnf_model.completion.sample import LEVELS, SIZE
 from ocnf_model.network import Normaliser, Output
 from ocnf_model.training.choice import BestBy
+from ocnf_model.training.record import is_begun
 from ocnf_model.training.run import train
 from ocnf_model.training.settings import Decay, Stage, TrainSettings, load_settings, read_settings
 
@@ -29,20 +30,55 @@ _DEFAULTS: dict[str, Any] = {
     "stages": [
         Stage(epochs=8, batch_size=2, accumulate=1, learning_rate=2e-3, decay=Decay.COSINE).model_dump(),
         Stage(epochs=3, batch_size=1, accumulate=1, learning_rate=1e-3, decay=Decay.COSINE).model_dump()]}
+_WITHOUT_EFFECT = {
+    "augment": "frames are turned about the vertical and mirrored, in eight ways, whatever it is",
+    "categories": "frames have no categories",
+    "mixture": "real and synthetic frames are mixed as completion does it",
+    "on_error": "no frame is left out: one that is damaged can be made again",
+    "shuffle_buffer": "frames are drawn, each from all of them",
+    "train_split": "the training split is trained on, but for every sixth scene",
+    "val_split": "every sixth scene of the training split is validated with",
+    "variant": "frames have inputs of one kind",
+}
+"""Settings of training that completion has no use for, and why."""
 
 
-def completion_settings(fields: Mapping[str, Any] | None = None,
-                        where: object = "completion") -> TrainSettings:
+def completion_settings(fields: Mapping[str, Any] | None = None, where: object = "completion",
+                        begun: bool = False) -> TrainSettings:
     """The settings of a run; those that `fields` does not name are completion's own defaults.
 
+    Args:
+        fields: any fields of `TrainSettings`; one that completion has no use for only with its default.
+        where: where they come from, for messages.
+        begun: whether the run was begun: earlier versions let pass what has no effect.
+
     Raises:
-        OcnfError: a field that is unknown or impossible, by name.
+        OcnfError: a field that is unknown, impossible or of no effect, by name.
     """
-    settings = read_settings({**_DEFAULTS, **(fields or {}), **_FIXED}, where)
+    given = fields or {}
+    settings = read_settings({**_DEFAULTS, **given, **_FIXED}, where)
     if settings.finer:
         raise OcnfError("a level of the completion network reads its own resolution alone", where=where,
                         field="finer", found=settings.finer, expected=0)
+    if not begun:
+        _refuse_without_effect(settings, given, where)
     return settings
+
+
+def _refuse_without_effect(settings: TrainSettings, given: Mapping[str, Any], where: object) -> None:
+    """Refuse a field that would change nothing; what a run writes down, which has them all, is let pass."""
+    resolutions = tuple(SIZE >> (LEVELS - 1 - level) for level in range(min(settings.levels, LEVELS)))
+    checks = [(name, reason, getattr(settings, name), TrainSettings.model_fields[name].default)
+              for name, reason in _WITHOUT_EFFECT.items()]
+    checks += [(name, "that is what the frames are, whatever it is", given.get(name) or fixed, fixed)
+               for name, fixed in _FIXED.items()]
+    checks.append(("resolutions", "frames are octrees of certain resolutions, whatever it is",
+                   settings.resolutions or resolutions, resolutions))
+    for name, reason, found, expected in checks:
+        if found != expected:
+            raise OcnfError(f"it would have no effect: {reason}", code="manifest", where=where, field=name,
+                            found=found, expected="null" if expected is None else expected,
+                            fix="leave it out")
 
 
 def run_completion_training(data: str, out: Path, *, settings: Path | None = None, synthetic: int = 40,
@@ -58,7 +94,7 @@ def run_completion_training(data: str, out: Path, *, settings: Path | None = Non
         console: where progress is shown.
     """
     fields = None if settings is None else load_settings(settings)
-    chosen = completion_settings(fields, settings or "completion")
+    chosen = completion_settings(fields, settings or "completion", is_begun(Path(out)))
     console = console or Console(stderr=True, emoji=False)
     source = CompletionData(data, synthetic, chosen.seed)
     train(source, out, chosen, device=device, console=console)

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 from typer.testing import CliRunner
 
 from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import PRETRAINED, SHIPPED, checkpoint_path
 from ocnf_model.cli import app
+from ocnf_model.completion import data as data_module
 from ocnf_model.completion import forest as forest_module
+from ocnf_model.completion import sample as sample_module
 from ocnf_model.completion.data import CompletionData, held_out
 from ocnf_model.completion.forest import StructuredForest
 from ocnf_model.completion.predict import CompletionNetwork, read_threshold
+from ocnf_model.completion.sample import FrameSample
 from ocnf_model.completion.scores import Scores
-from ocnf_model.completion.synthetic import synthetic_tabletops
+from ocnf_model.completion.synthetic import VIEWS_PER_SCENE, frame_name, synthetic_tabletops
 from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.train import completion_settings
 from ocnf_model.completion.visible import Visible
 from ocnf_model.completion.voxlets import list_frames, read_truth
+from ocnf_model.tensorfile import read_header
 from ocnf_model.training.run import train
 from ocnf_model.training.settings import TrainSettings
 from ocnf_model.training.train_state import load_state
@@ -137,6 +145,54 @@ def test_a_finer_encoding_is_not_read() -> None:
     with pytest.raises(OcnfError, match="reads its own resolution alone"):
         completion_settings({"finer": 1})
     assert completion_settings({"finer": 0}).finer == 0
+
+
+def test_settings_that_would_change_nothing_are_refused() -> None:
+    for name, value in {"augment": "all", "categories": ["cup"], "on_error": "skip", "shuffle_buffer": 8,
+                        "resolutions": [32, 64], "train_split": "test", "val_split": "test", "variant": "v2",
+                        "mixture": [{"variant": "v2"}], "encoding": "histogram", "output": "tsdf",
+                        "extra_channels": 3}.items():
+        with pytest.raises(OcnfError, match=f"some.yaml: {name}: it would have no effect.*Leave it out"):
+            completion_settings({name: value}, "some.yaml")
+        completion_settings({name: value}, begun=True)  # such a run was begun by a version that let it pass
+    with pytest.raises(OcnfError, match="resolutions: it would have no effect"):
+        completion_settings({"levels": 1, "resolutions": [128]})
+    assert completion_settings({"levels": 1, "resolutions": [64]}).resolutions == (64,)
+
+
+def test_settings_that_a_run_writes_down_make_another() -> None:
+    """All fields are in them, those without effect too."""
+    chosen = completion_settings()
+    assert completion_settings(chosen.to_dict()) == chosen
+    for level in (1, 2):
+        header = read_header(checkpoint_path(SHIPPED[PRETRAINED] / "completion", level))
+        assert completion_settings(header["settings"]).levels == 2
+
+
+def test_scenes_of_another_seed_are_other_samples(voxlets: Path, tmp_path: Path,
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    made, saved = [], set()
+
+    def make(seed: int, index: int) -> list[Any]:
+        made.append((seed, index))
+        return [SimpleNamespace(name=frame_name(seed, index, view)) for view in range(VIEWS_PER_SCENE)]
+
+    def save(file: Path, sample: Any) -> None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"")
+        saved.add(file.name)
+
+    monkeypatch.setattr(data_module, "synthetic_tabletops", make)
+    monkeypatch.setattr(data_module, "save_sample", save)
+    monkeypatch.setattr(FrameSample, "of", lambda scene: scene)
+    console = Console(quiet=True)
+    for seed in (0, 1, 0):
+        CompletionData(voxlets, 2, seed).prepare(tmp_path, completion_settings(), console)
+    assert made == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    assert len(saved) == SCENES + 4 * VIEWS_PER_SCENE
+    monkeypatch.setattr(sample_module, "SAMPLE_VERSION", "another")
+    CompletionData(voxlets, 1, 0).prepare(tmp_path, completion_settings(), console)
+    assert len(saved) == 2 * SCENES + 5 * VIEWS_PER_SCENE
 
 
 def test_a_run_goes_on_where_it_was_stopped_with_the_same_result(voxlets: Path, tmp_path: Path) -> None:
