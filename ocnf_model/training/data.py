@@ -7,13 +7,12 @@ RUN/validation, so that every epoch is measured with the same ones; `--val` name
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import Console
 
-from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.loading.catalogue import check_meaning
@@ -21,6 +20,7 @@ from ocnf_data.loading.dataset import ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.loading.mixture import MixtureDataset
 from ocnf_data.shards import load_dataset
+from ocnf_model.training.inputs import with_first_variant, with_training_variant, with_validation_variant
 from ocnf_model.training.settings import MixturePart, TrainSettings
 
 if TYPE_CHECKING:
@@ -83,6 +83,12 @@ class StoredData:
         """The validation split."""
         return open_validation(self._val or self.where, settings, level, self.manifest)
 
+    def with_variant(self, settings: TrainSettings) -> TrainSettings:
+        """The settings with the variant to train on, where another data set is validated with."""
+        if self._val is None:
+            return settings
+        return with_training_variant(settings, self.manifest, self.where, load_dataset(self._val).manifest)
+
 
 class DrawnData:
     """A manifest, whose training samples are drawn without end.
@@ -139,7 +145,7 @@ class DrawnData:
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation set, in the one variant that the settings name or the manifest names first."""
         if self._val is None:
-            settings = with_variant(settings, self.manifest, self.where)
+            settings = with_first_variant(settings, self.manifest, self.where)
         return open_validation(self._val or str(folder / VALIDATION), settings, level, self.manifest)
 
 
@@ -173,7 +179,7 @@ class MixedData:
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """The base's validation set, in the variant that the settings name or its manifest names first."""
-        return self._base.validation(folder, with_variant(settings, self.manifest, self.where), level)
+        return self._base.validation(folder, with_first_variant(settings, self.manifest, self.where), level)
 
 
 def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
@@ -221,23 +227,16 @@ def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int
                           augment=settings.augment)
 
 
-def with_variant(settings: TrainSettings, manifest: Mapping[str, Any], where: str) -> TrainSettings:
-    """The settings; where they name no variant, with the first of the manifest's that has the encoding.
-
-    Raises:
-        OcnfError: none has.
-    """
-    if settings.variant is not None:
-        return settings
-    for entry in manifest["inputs"]:
-        if settings.encoding in map(Encoding, entry["encodings"]):
-            return settings.model_copy(update={"variant": entry["name"]})
-    raise OcnfError("no input has the encoding to validate with", code="missing", where=where, field="inputs",
-                    expected=str(settings.encoding))
-
-
 def open_validation(url: str, settings: TrainSettings, level: int, manifest: dict[str, Any]) -> ShardDataset:
-    """Each validation sample of a data set exactly once."""
+    """Each validation sample of a data set exactly once.
+
+    Args:
+        url: the data set.
+        settings: settings of the run.
+        level: number of the level, from 0.
+        manifest: manifest of what is trained on.
+    """
+    settings = with_validation_variant(settings, load_dataset(url).manifest, url, manifest)
     return ShardDataset(
         url, settings.val_split, settings.up_to(level, manifest), settings.encoding,
         variant=settings.variant, targets=settings.own(level, manifest), categories=settings.categories,

@@ -79,6 +79,8 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
                                None if val is None else str(val))
         else:
             source = data
+        named = asked.variant
+        asked = source.with_variant(asked) if isinstance(source, StoredData) else asked
         settings = asked.resolved(source.manifest, None, source.where)
         if world.is_main:
             _prepare(source, folder, settings, console)
@@ -86,7 +88,9 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         for level in range(settings.levels):  # whatever is missing is said before hours of training
             variant = source.validation(folder, settings, level).variant
         source.training(folder, settings, settings.levels - 1)
-        settings = asked.resolved(source.manifest, variant, source.where)
+        settings = asked.resolved(source.manifest, asked.variant or variant, source.where)
+        if world.is_main:
+            _say_variants(console, named, settings.variant, variant)
         network, n_started = first_network(settings)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
             if world.is_main:
@@ -102,6 +106,16 @@ def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console:
     with exclusive(Store(folder)):
         refuse_strangers(folder)
         source.prepare(folder, settings, console)
+
+
+def _say_variants(console: Console, named: str | None, training: str | None, validation: str | None) -> None:
+    """Say which inputs are read, where that is not what the settings name or one of two names."""
+    if named is not None and training != named:
+        console.print(f"training on the inputs {training}: the data set has no {named}", highlight=False,
+                      markup=False)
+    if validation != training:
+        console.print(f"validating with the inputs {validation}: the data set that is validated with has no "
+                      f"{training}", highlight=False, markup=False)
 
 
 def _run(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion, n_started: int,

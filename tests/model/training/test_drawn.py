@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import signal
@@ -10,7 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
+from rich.console import Console
 from typer.testing import CliRunner
 
 import ocnf_data.generation.run as generation
@@ -44,6 +47,15 @@ def variants(tmp_path_factory) -> str:
     folder = tmp_path_factory.mktemp("variants") / "set"
     inputs = [{"name": f"v{n}", "views": n, "sigma": 0.01, "encodings": ["tsdf"]} for n in (1, 2, 4)]
     generate(Manifest.from_dict({**MANIFEST, "inputs": inputs}), str(folder))
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory) -> str:
+    """The tiny data set, but its inputs have another name."""
+    folder = tmp_path_factory.mktemp("other") / "set"
+    generate(Manifest.from_dict({**MANIFEST, "inputs": [{**MANIFEST["inputs"][0], "name": "two"}]}),
+             str(folder))
     return str(folder)
 
 
@@ -176,6 +188,42 @@ def test_another_manifest_or_mixture_is_refused(finished, manifest, variants, sm
         train(variants, out, small(levels=1, mixture=parts), device="cpu")
     with pytest.raises(OcnfError, match="mixture"):
         train(variants, out, small(levels=1, variant="v1"), device="cpu")
+
+
+@pytest.mark.parametrize("named", [None, "v2", "two"])
+def test_inputs_may_have_another_name_in_what_is_validated_with(tiny, other, small, tmp_path, named) -> None:
+    heard = Console(file=io.StringIO(), width=200)
+    same = train(tiny, tmp_path / "same", small(levels=1), device="cpu")
+    settings = small(levels=1, variant=named)
+    ours = train(tiny, tmp_path / "run", settings, device="cpu", val=other, console=heard)
+    assert all(torch.equal(tensor, same.state_dict()[name]) for name, tensor in ours.state_dict().items())
+    assert open_run(tmp_path / "run").data.variant == "v2"
+    assert "validating with the inputs two: the data set that is validated with has no v2" in \
+        heard.file.getvalue()
+    assert ("training on the inputs v2: the data set has no two" in heard.file.getvalue()) == (named == "two")
+    rows = [load_state(tmp_path / name)[0].rows[0].val_mad for name in ("same", "run")]
+    assert rows[0] == rows[1]
+    train(tiny, tmp_path / "run", small(levels=1), device="cpu", val=other)  # it is the same run
+
+
+def test_inputs_that_cannot_be_told_apart_are_named(tiny, variants, other, manifest, small, out) -> None:
+    for data, val, named, message in (
+            (other, variants, None, f"{variants}: variant: .*found two, expected one of v1, v2, v4"),
+            (other, variants, "v2", f"{other}: variant: .*found v2, expected one of two"),
+            (variants, other, None, "several input variants; expected one of v1, v2, v4"),
+            (variants, other, "two", f"{variants}: variant: .*found two, expected one of v1, v2, v4"),
+            (variants, other, "v9", "variant: the data set has no such octrees; found v9"),
+            (manifest, other, "v9", "variant: the data set has no such octrees; found v9")):
+        with pytest.raises(OcnfError, match=message):
+            train(data, out, small(levels=1, variant=named), device="cpu", val=val)
+    assert not (out / "settings.json").exists()
+    for data, val, named in ((tiny, variants, None), (variants, other, "v1"), (manifest, other, "v2")):
+        source = open_data(data, small(variant=named), val=val)
+        settings = small(variant=named)
+        settings = source.with_variant(settings) if data != manifest else settings
+        assert source.validation(out, settings, 0).variant == ("v2" if val == variants else "two")
+        if data != manifest:
+            assert source.training(out, settings, 0).variant == (named or "v2")
 
 
 def test_all_epochs_of_a_run_are_validated_with_the_same_samples(tiny, variants, small, out) -> None:
