@@ -28,6 +28,7 @@ from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import DataSource, StoredData, open_data
+from ocnf_model.training.effects import refuse_without_effect
 from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
     RunRecord,
@@ -82,6 +83,8 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         named = asked.variant
         asked = source.with_variant(asked) if isinstance(source, StoredData) else asked
         settings = asked.resolved(source.manifest, None, source.where)
+        if not is_begun(folder):
+            refuse_without_effect(settings)
         if world.is_main:
             _prepare(source, folder, settings, console)
         world.wait()

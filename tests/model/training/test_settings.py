@@ -7,8 +7,17 @@ from pathlib import Path
 import pytest
 
 from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import PRETRAINED, SHIPPED
+from ocnf_model.training.effects import refuse_without_effect
 from ocnf_model.training.options import merge_options
-from ocnf_model.training.settings import Stage, TrainSettings, read_settings, setting_difference
+from ocnf_model.training.run import train
+from ocnf_model.training.settings import (
+    Stage,
+    TrainSettings,
+    load_settings,
+    read_settings,
+    setting_difference,
+)
 
 
 def test_the_defaults_are_the_papers_schedule() -> None:
@@ -86,3 +95,33 @@ def test_difference_names_the_field() -> None:
     found = setting_difference(ours, read_settings({"stages": stages}, "x"))
     assert found == ("stages[1].learning_rate", 1e-4, 0.5)
     assert setting_difference(ours, read_settings({"stages": stages[:1]}, "x"))[0] == "stages"
+
+
+@pytest.mark.parametrize(("fields", "field"), [
+    ({"output": "occupancy", "loss": "truncated_l1"}, "loss"),
+    ({"output": "occupancy", "wrong_sign": 2.0}, "wrong_sign"),
+    ({"output": "occupancy", "unseen": 0.5}, "unseen"),
+    ({"blend_from": 0.5}, "blend_from"),
+    ({"blend_learns": False}, "blend_learns"),
+])
+def test_what_would_have_no_effect_is_refused_before_anything_is_written(fields, field, tiny, small,
+                                                                         tmp_path: Path) -> None:
+    with pytest.raises(OcnfError, match=f"the settings: {field}: it would have no effect"):
+        train(tiny, tmp_path / "run", small(**fields), device="cpu")
+    assert not (tmp_path / "run").exists()
+    refuse_without_effect(read_settings({"blend": True, "output": "tsdf", field: fields[field]}, "test"))
+
+
+def test_what_had_no_effect_in_a_run_of_before_lets_it_go_on(tiny, small, tmp_path: Path,
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = small(levels=1, blend_from=0.5)
+    with monkeypatch.context() as patch:
+        patch.setattr("ocnf_model.training.run.refuse_without_effect", lambda settings: None)
+        train(tiny, tmp_path / "run", settings, device="cpu")
+    train(tiny, tmp_path / "run", settings, device="cpu")
+
+
+@pytest.mark.parametrize("name", ["train.yaml", "scan/train.yaml"])
+def test_the_settings_of_the_shipped_networks_have_an_effect(name: str) -> None:
+    fields = load_settings(SHIPPED[PRETRAINED] / name)
+    refuse_without_effect(read_settings({**fields, "output": "tsdf"}, name))

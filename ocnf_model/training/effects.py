@@ -1,0 +1,37 @@
+"""Settings that would change nothing together with others are refused when a run is begun.
+
+A run that an earlier version began with some of them is gone on with.
+"""
+
+from __future__ import annotations
+
+from ocnf_data.errors import OcnfError
+from ocnf_model.network import Output
+from ocnf_model.training.settings import TrainSettings
+
+_OF_A_TSDF = ("loss", "wrong_sign", "unseen")
+_OF_A_BLEND = ("blend_from", "blend_learns")
+
+
+def refuse_without_effect(settings: TrainSettings, where: object = "the settings") -> None:
+    """Refuse a setting that is not its default and would not be looked at.
+
+    Args:
+        settings: resolved.
+        where: where they come from, for messages.
+
+    Raises:
+        OcnfError: code `manifest`, with the field.
+    """
+    if settings.output is Output.OCCUPANCY:
+        _refuse(settings, _OF_A_TSDF, "an occupancy has the binary cross entropy", "output: tsdf", where)
+    if not settings.blend:
+        _refuse(settings, _OF_A_BLEND, "there is no blend with plain fusion", "blend: true", where)
+
+
+def _refuse(settings: TrainSettings, names: tuple[str, ...], reason: str, remedy: str, where: object) -> None:
+    for name in names:
+        found, default = getattr(settings, name), TrainSettings.model_fields[name].default
+        if found != default:
+            raise OcnfError(f"it would have no effect: {reason}", code="manifest", where=where, field=name,
+                            found=found, expected=f"{default}, or {remedy}")
