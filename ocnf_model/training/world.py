@@ -5,7 +5,8 @@
     world size  how many there are
 
 Every rank has the same weights. A step averages the gradients over the ranks, so two ranks with batches of b
-do what one does with batches of 2 b: the loader deals the samples of such a batch out to them.
+do what one does with batches of 2 b: the loader deals the samples of such a batch out to them. But for
+`normalise: batch`, where each rank takes the mean and variance of its own samples.
 
 Several ranks may share a GPU: the tables of a sample's structures are made by the CPU, and one process leaves
 a large GPU idle meanwhile. Their gradients then go by way of the host, as NCCL wants a GPU for each rank.
