@@ -3,11 +3,16 @@
     CACHE/<checksum>/season-000004/<SHA-256 of body and resolution>.oct      as `octree.codec` encodes it
 
 Processes write without a word to one another: whole files by rename, and equal names have equal contents.
-A season's folder goes when the one after the next begins. Damaged files are made again.
+What cannot be read is made again, and what cannot be kept is made every time. A season's folder goes when the
+one after the next begins, unless it was used meanwhile: then it is the season of another run.
 """
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import math
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +25,7 @@ from ocnf_data.octree.stored import TARGET, RawOctree
 from ocnf_data.synthesis.sample import Truths
 
 _PREFIX = "season-"
+_log = logging.getLogger(__name__)
 
 
 class TruthCache:
@@ -33,6 +39,7 @@ class TruthCache:
     def __init__(self, folder: Path, checksum: str) -> None:
         self._folder, self._checksum = folder / checksum[:16], checksum
         self._season = -1
+        self._refused = False
 
     def find(self, season: int, body: list[int], resolutions: tuple[int, ...],
              make: Callable[[tuple[int, ...]], Truths]) -> Truths:
@@ -45,7 +52,7 @@ class TruthCache:
             make: makes them for these resolutions.
         """
         self._tidy(season)
-        store = Store(self._folder / f"{_PREFIX}{season:06d}")
+        store = Store(self._place(season))
         names = {resolution: self._name(season, body, resolution) for resolution in resolutions}
         found = {resolution: octree for resolution, name in names.items()
                  if (octree := _read(store, name, resolution)) is not None}
@@ -53,22 +60,53 @@ class TruthCache:
         if missing:
             made = make(missing)
             for resolution, octree in made.items():
-                store.put_bytes(names[resolution], encode_raw(octree))
+                self._keep(store, names[resolution], encode_raw(octree))
             found |= made
         return found
+
+    def _keep(self, store: Store, name: str, data: bytes) -> None:
+        """Write a file, or say once that it cannot be: a sample must not depend on whether there is room."""
+        try:
+            store.put_bytes(name, data)
+        except OcnfError as error:
+            if not self._refused:
+                _log.warning("ground truths are made again every time, as they cannot be kept: %s", error)
+            self._refused = True
+
+    def _place(self, season: int) -> Path:
+        return self._folder / f"{_PREFIX}{season:06d}"
 
     def _name(self, season: int, body: list[int], resolution: int) -> str:
         return f"{sha256_hex(canonical_json([self._checksum, season, *body, resolution]))}.oct"
 
     def _tidy(self, season: int) -> None:
-        """Remove the seasons that no worker is in any more."""
+        """Remove the seasons that no worker of any run is in any more."""
+        with contextlib.suppress(OSError):  # a folder that another process removes at the same moment
+            os.utime(self._place(season))  # reading alone would leave no trace of its being in use
         if season == self._season:
             return
         self._season = season
+        begun = _begun(self._place(season - 1))
         for folder in self._folder.glob(f"{_PREFIX}*"):
             number = folder.name.removeprefix(_PREFIX)
-            if number.isdigit() and abs(int(number) - season) > 1:
+            if number.isdigit() and abs(int(number) - season) > 1 and _used(folder) < begun:
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def _begun(folder: Path) -> float:
+    """When the first file of a season was written; -inf where there is none, and so nothing is before it."""
+    try:
+        with os.scandir(folder) as files:
+            return min((file.stat().st_mtime for file in files), default=-math.inf)
+    except OSError:
+        return -math.inf
+
+
+def _used(folder: Path) -> float:
+    try:
+        return folder.stat().st_mtime
+    except OSError:
+        return math.inf
 
 
 def _read(store: Store, name: str, resolution: int) -> RawOctree | None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
+from pathlib import Path
+
 import pytest
 
 from ocnf_data import SynthesisDataset
@@ -83,3 +87,52 @@ def test_it_holds_a_few_seasons_only(manifest, tmp_path):
     contents(open_set(manifest, tmp_path), 13)  # seasons 0 to 4
     kept = sorted(folder.name for folder in tmp_path.glob("*/season-*"))
     assert kept == ["season-000003", "season-000004"]
+
+
+def test_what_cannot_be_kept_changes_no_sample(manifest, tmp_path, made, monkeypatch, caplog):
+    """No room, or no folder: every sample is made, none is drawn anew, and it is said once."""
+    without = contents(open_set(manifest, None), 2)
+    in_the_way = tmp_path / "file"
+    in_the_way.touch()
+    for cache in (in_the_way, tmp_path / "full"):
+        if cache.name == "full":
+            monkeypatch.setattr(Path, "write_bytes", no_room)
+        caplog.clear()
+        dataset = open_set(manifest, cache)
+        batches = [batch for _ in range(2) for batch in dataset]
+        assert [(batch.keys, batch.meta, batch.slots, batch.arena.numpy().tobytes())
+                for batch in batches] == without
+        assert not any(batch.lost for batch in batches)
+        assert len([one for one in caplog.records if "cannot be kept" in one.message]) == 1
+
+
+def no_room(path, data):
+    raise OSError(errno.ENOSPC, "no space left on device", str(path))
+
+
+def test_runs_in_other_seasons_leave_one_another_their_files(manifest, tmp_path, made):
+    """One is four seasons ahead; epoch by epoch in turn, each makes its ground truths once a season."""
+    ahead, behind = open_set(manifest, tmp_path), open_set(manifest, tmp_path)
+    ahead.set_epoch(12)
+    for _ in range(6):
+        for dataset in (ahead, behind):
+            contents(dataset, 1)
+    assert len(made) == 2 * 2 * N
+    contents(ahead, 4)  # alone now, it removes what nobody has used for a season
+    assert {folder.name for folder in tmp_path.glob("*/season-*")} == {"season-000006", "season-000007"}
+
+
+def test_a_folder_that_goes_while_it_is_written_to(manifest, tmp_path, monkeypatch):
+    """Another process removes the season between the temporary file and its name."""
+    without = contents(open_set(manifest, None), 1)
+    replace = Path.replace
+
+    def removed(path, target):
+        shutil.rmtree(path.parent)
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", removed)
+    dataset = open_set(manifest, tmp_path)
+    batches = list(dataset)
+    assert [(b.keys, b.meta, b.slots, b.arena.numpy().tobytes()) for b in batches] == without
+    assert not any(batch.lost for batch in batches)
