@@ -17,6 +17,7 @@ from typing import Any
 
 _MAGIC = b"ocnf"
 _PREFIX = struct.Struct("<4sI")
+_LONGEST_POLL = 3600.0  # seconds; poll takes milliseconds as a C int, which 25 days overflow
 
 
 class BrokenFrameError(Exception):
@@ -69,6 +70,7 @@ def _read(fd: int, size: int, deadline: float | None, first: bool = False) -> by
 def _wait(fd: int, deadline: float) -> None:
     poll = select.poll()  # not select.select, which fails for descriptors of 1024 and above
     poll.register(fd, select.POLLIN)
-    left = deadline - time.monotonic()
-    if left <= 0 or not poll.poll(left * 1000):
-        raise TimeoutError("no message before the deadline")
+    while (left := deadline - time.monotonic()) > 0:
+        if poll.poll(min(left, _LONGEST_POLL) * 1000):
+            return
+    raise TimeoutError("no message before the deadline")

@@ -15,6 +15,7 @@ import pytest
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.records import Failure, Item, Sample
+from ocnf_data.generation.worker import pipe
 from ocnf_data.generation.worker.memory import resident_bytes
 from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup, Supervisor
 
@@ -71,6 +72,20 @@ def test_a_hanging_item_is_stopped(start, deed: str) -> None:
     assert isinstance(failure, Failure)
     assert (failure.code, failure.stage) == ("timeout", "render")
     assert time.monotonic() - begin < SLOW / 2
+
+
+@pytest.mark.parametrize("seconds", [1e9, 1e300])
+def test_a_limit_that_is_none(start, seconds: float) -> None:
+    """More milliseconds than the system's calls take: whoever wants no limit writes a large number."""
+    assert isinstance(start(seconds=seconds).run(item("ok")), Sample)
+
+
+def test_the_deadline_holds_over_several_waits(start, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipe, "_LONGEST_POLL", 0.02)
+    supervisor = start(seconds=0.5)
+    assert isinstance(supervisor.run(item("slow")), Sample)
+    failure = supervisor.run(item("hang"))
+    assert isinstance(failure, Failure) and failure.code == "timeout"
 
 
 def test_a_second_try_may_succeed(start) -> None:
