@@ -55,7 +55,7 @@ def read_depth(file: Path) -> npt.NDArray[Any]:
 
 
 def read_colour(file: Path) -> U8:
-    """A colour image (H, W, 3), red, green, blue, 0 to 255.
+    """A colour image (H, W, 3), red, green, blue, 0 to 255, as its pixels are stored: EXIF turns nothing.
 
     Raises:
         OcnfError: missing, of an impossible size, or damaged.
@@ -153,7 +153,8 @@ def _decode(file: Path, data: bytes, colour: bool) -> npt.NDArray[Any]:
     if data.startswith(_PNG):
         _check_png(file, data)
     try:
-        flags = cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED
+        # Pixels stay where the intrinsics mean them: OpenCV turns colour by its EXIF orientation unless told.
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION if colour else cv2.IMREAD_UNCHANGED
         image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise OcnfError("not a readable image", code="damaged", where=file) from error
