@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from ocnf_data.files.records import canonical_json, sha256_hex
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.views.scans import Scan, list_scan
-from ocnf_data.views.scans.listing import Frame, Listing, Said
+from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole
 from ocnf_data.views.scans.load import load, posed
 from ocnf_data.views.scans.selection import choose
 
@@ -45,14 +47,18 @@ class FrameSequence:
             frames: which of the frames whose pose is known are used (see `choose`); None: all.
 
         Raises:
-            OcnfError: there is no such scan, its format is not known, a file of poses cannot be read, or no
-                frame is left (`empty`).
+            OcnfError: there is no such scan, its format is not known, a file of poses cannot be read,
+                intrinsics that hold are not a pinhole's, or no frame is left (`empty`).
         """
         listing, name = list_scan(folder, format)
         usable = posed(listing, folder)
         chosen = tuple(usable.frames[i] for i in choose(len(usable.frames), frames))
-        used = replace(usable, frames=chosen)
-        return cls(Path(folder), used, name, said or Said())
+        used, said = replace(usable, frames=chosen), said or Said()
+        if said.intrinsics is None:
+            for frame in chosen:
+                if frame.K is not None:
+                    check_pinhole(frame.K, f"{frame.where}: {frame.name}")
+        return cls(Path(folder), used, name, said)
 
     def __len__(self) -> int:
         return len(self.listing.frames)
@@ -94,6 +100,8 @@ class FrameSequence:
 
 
 def _frame_facts(frame: Frame) -> list[object]:
+    """What is the frame's own. Intrinsics that are not finite are none: others have taken their place."""
     with storage_errors(frame.depth), frame.depth.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return [frame.name, digest, frame.pose.tolist(), None if frame.K is None else frame.K.tolist()]
+    K = None if frame.K is None or not np.isfinite(frame.K).all() else frame.K.tolist()
+    return [frame.name, digest, frame.pose.tolist(), K]

@@ -12,13 +12,15 @@ agree better under another reading.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.scans.kept import is_kept, read_kept_views
-from ocnf_data.views.scans.listing import Axes, Direction, Listing, Said, ScanFormat
+from ocnf_data.views.scans.listing import Axes, Direction, Listing, Said, ScanFormat, convention
 from ocnf_data.views.scans.load import load
 from ocnf_data.views.scans.redwood import OPEN3D
 from ocnf_data.views.scans.scan import Colour, Scan
@@ -43,7 +45,8 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
     """Read a scan of any format that is known here.
 
     Args:
-        place: a folder, or `FILE.h5::KEY` of kept views.
+        place: a folder, or `FILE.h5::KEY` of kept views, whose numbers have one meaning: `depth_scale` and
+            what follows it are refused.
         every: take every n-th frame only.
         frames: how many, evenly spread, or START:STOP:STEP (see `choose`).
         format: one of SCAN_FORMATS; None: the one that the folder's names fit.
@@ -58,9 +61,11 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         OcnfError: nothing there (`missing`), no known format or several, no frame that can be used (`empty`),
             or one that is wrong, with its file: it is never left out in silence.
     """
-    said = Said(depth_scale, _four(intrinsics), _direction(poses), pose_scale, _whole(crop))
+    direction = None if poses is None else convention(Direction, poses, "read_scan", "poses")
+    said = Said(depth_scale, _four(intrinsics), direction, pose_scale, _whole(crop))
     text = os.fspath(place)
     if format is None and is_kept(text):
+        _refuse(said, text)
         return read_kept_views(text, frames, every)
     listing, name = list_scan(text, format)
     return load(listing, text, name, frames, every, said, report)
@@ -104,6 +109,15 @@ def _pick(folder: Path, name: str | None) -> ScanFormat:
     return fitting[0]
 
 
+def _refuse(said: Said, place: str) -> None:
+    """Refuse what the user says of views that need no interpretation: to leave it out would look obeyed."""
+    for one in fields(said):
+        value = getattr(said, one.name)
+        if value != one.default:
+            raise OcnfError("kept views say themselves what their numbers mean", where=place, found=value,
+                            field="poses" if one.name == "direction" else one.name, fix="leave it out")
+
+
 def _four(intrinsics: Sequence[float] | None) -> tuple[float, float, float, float] | None:
     if intrinsics is None:
         return None
@@ -114,17 +128,8 @@ def _four(intrinsics: Sequence[float] | None) -> tuple[float, float, float, floa
     return fx, fy, cx, cy
 
 
-def _direction(poses: str | None) -> Direction | None:
-    if poses is None:
-        return None
-    if poses not in tuple(Direction):
-        raise OcnfError("not a direction of poses", where="read_scan", field="poses", found=poses,
-                        expected=" or ".join(Direction))
-    return Direction(poses)
-
-
 def _whole(crop: Sequence[int]) -> tuple[int, int, int, int]:
-    if len(crop) != 4 or any(n != int(n) for n in crop):
+    if len(crop) != 4 or any(not math.isfinite(n) or n != int(n) for n in crop):
         raise OcnfError("not a crop", where="read_scan", field="crop", found=tuple(crop),
                         expected="pixels (left, top, right, bottom)")
     left, top, right, bottom = (int(n) for n in crop)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -35,6 +36,21 @@ class Axes(StrEnum):
     """x right, y down, z forward."""
     OPENGL = "opengl"
     """x right, y up, z backward."""
+
+
+_Choice = TypeVar("_Choice", bound=StrEnum)
+
+
+def convention(kind: type[_Choice], value: object, where: object, field: str) -> _Choice:
+    """The member of an enumeration that has this value.
+
+    Raises:
+        OcnfError: there is none.
+    """
+    if isinstance(value, str) and value in list(kind):
+        return kind(value)
+    what = "direction of poses" if issubclass(kind, Direction) else "convention of axes"
+    raise OcnfError(f"not a {what}", where=where, field=field, found=value, expected=" or ".join(kind))
 
 
 @dataclass(frozen=True)
@@ -119,14 +135,24 @@ class Said:
 
     def __post_init__(self) -> None:
         for field, value in (("depth_scale", self.depth_scale), ("pose_scale", self.pose_scale)):
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise OcnfError("not a scale", where="read_scan", field=field, found=value,
-                                expected="a number above 0")
+            if value is not None:
+                check_scale(value, "read_scan", field)
         if len(self.crop) != 4 or min(self.crop) < 0:
             raise OcnfError("not a crop", where="read_scan", field="crop", found=self.crop,
                             expected="pixels (left, top, right, bottom), none of them negative")
         if self.intrinsics is not None:
             check_pinhole(pinhole(*self.intrinsics), "read_scan")
+
+
+def check_scale(value: float, where: object, field: str) -> float:
+    """A number of units in another one, finite and above 0.
+
+    Raises:
+        OcnfError: it is not.
+    """
+    if not (np.isfinite(value) and value > 0):
+        raise OcnfError("not a scale", where=where, field=field, found=value, expected="a number above 0")
+    return value
 
 
 def check_pinhole(K: F64, where: object) -> F64:

@@ -15,7 +15,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views, resized
 from ocnf_data.views.scans.agreement import Agreement, agreement, judge
 from ocnf_data.views.scans.images import read_colour
-from ocnf_data.views.scans.listing import Axes, Direction
+from ocnf_data.views.scans.listing import Axes, Direction, check_scale, convention
 from ocnf_data.views.scans.poses import to_camera
 
 
@@ -86,8 +86,11 @@ class Scan:
 
         Raises:
             OcnfError: shapes that do not fit, a pose that is not finite or not rigid (with the frame's name),
-                integers without a scale.
+                integers without a scale, a scale that is not above 0, a convention of no such name.
         """
+        where = "Scan.from_arrays"
+        looks = convention(Axes, axes, where, "axes")
+        turns = convention(Direction, direction, where, "direction")
         metres = _metres(np.asarray(depth), depth_scale)
         matrices = np.asarray(poses, dtype=np.float64)
         n = len(metres)
@@ -98,12 +101,11 @@ class Scan:
         if len(called) != n:
             raise OcnfError(f"the names do not fit the {n} depth maps", where="Scan.from_arrays",
                             field="names", found=len(called), expected=n)
-        R, T = to_camera(matrices, [f"Scan.from_arrays: {name}" for name in called], Direction(direction),
-                         Axes(axes))
+        R, T = to_camera(matrices, [f"{where}: {name}" for name in called], turns, looks)
         views = Views(metres, np.asarray(K, dtype=np.float64), R, T)
-        found = agreement(views, Axes(axes))
+        found = agreement(views, looks)
         return cls(views, called, colour=_colour(colour, views), agreement=found,
-                   warnings=tuple(judge(found, views, "Scan.from_arrays")))
+                   warnings=tuple(judge(found, views, where)))
 
 
 def _metres(depth: npt.NDArray[Any], scale: float | None) -> F32:
@@ -114,7 +116,9 @@ def _metres(depth: npt.NDArray[Any], scale: float | None) -> F32:
     if scale is None and whole:
         raise OcnfError("whole numbers are in no known unit", where="Scan.from_arrays", field="depth_scale",
                         found=depth.dtype, expected="units in a metre, such as 1000 for millimetres")
-    return to_metres(depth, 1 / (scale or 1.0))
+    if scale is None:
+        return to_metres(depth, 1.0)
+    return to_metres(depth, 1 / check_scale(scale, "Scan.from_arrays", "depth_scale"))
 
 
 def to_metres(stored: npt.NDArray[Any], unit: float) -> F32:

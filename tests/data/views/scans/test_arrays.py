@@ -50,7 +50,12 @@ def test_poses_that_are_not_finite_or_not_rigid_are_refused_by_name(scene, bad: 
 @pytest.mark.parametrize(("change", "message"), [
     ({"depth": np.zeros((5, 4))}, "not a stack"), ({"poses": np.eye(4)}, "poses do not fit"),
     ({"K": np.full((3, 3), np.nan)}, "not a pinhole"), ({"colour": np.zeros((5, 4, 4))}, "colour does not"),
-    ({"names": ["a"]}, "names do not fit"), ({"depth": np.full((5, 48, 64), -1.0)}, "negative")])
+    ({"names": ["a"]}, "names do not fit"), ({"depth": np.full((5, 48, 64), -1.0)}, "negative"),
+    ({"depth_scale": 0}, "depth_scale: not a scale"), ({"depth_scale": np.nan}, "depth_scale: not a scale"),
+    ({"depth": np.ones((5, 48, 64), np.uint16), "depth_scale": 0.0}, "depth_scale: not a scale"),
+    ({"depth_scale": -1000}, "depth_scale: not a scale"),
+    ({"direction": "c2w"}, "direction: not a direction.*found c2w, expected camera-to-world or"),
+    ({"axes": "OpenGL"}, "axes: not a convention of axes.*found OpenGL, expected opencv or opengl")])
 def test_arrays_that_do_not_fit(scene, change: dict[str, object], message: str) -> None:
     asked = {"depth": scene.depth, "K": K, "poses": scene.poses, **change}
     with pytest.raises(OcnfError, match=message):

@@ -260,7 +260,8 @@ def test_frames_are_chosen_by_number_or_range(write: Write, frames: object, expe
     ({"pose_scale": float("nan")}, "not a scale"), ({"poses": "inverse"}, "not a direction"),
     ({"intrinsics": (1, 2, 3)}, "not intrinsics"), ({"intrinsics": (float("nan"), 2, 3, 4)}, "not a pinhole"),
     ({"crop": (1, 2, 3)}, "not a crop"), ({"crop": (40, 0, 40, 0)}, "leaves nothing"),
-    ({"crop": (-1, 0, 0, 0)}, "not a crop")])
+    ({"crop": (-1, 0, 0, 0)}, "not a crop"), ({"crop": (float("nan"), 0, 0, 0)}, "not a crop"),
+    ({"crop": (0, 0, float("inf"), 0)}, "not a crop")])
 def test_bad_wishes(write: Write, asked: dict[str, object], message: str) -> None:
     with pytest.raises(OcnfError, match=message):
         read_scan(write("7scenes"), **asked)

@@ -141,3 +141,18 @@ def test_kept_views(tmp_path: Path) -> None:
     assert scan.cube == ((0.0, 0.0, 0.0), 3.0)
     with pytest.raises(OcnfError, match="no views of that item"):
         read_scan(f"{tmp_path}/chair.h5::table")
+
+
+@pytest.mark.parametrize(("field", "value"), [
+    ("depth_scale", 5000), ("intrinsics", (9, 9, 9, 9)), ("poses", "world-to-camera"), ("pose_scale", 1e-3),
+    ("crop", (0, 0, 1, 0))])
+def test_kept_views_are_read_in_one_way_only(tmp_path: Path, field: str, value: object) -> None:
+    """What would change nothing is refused, and by name: whoever says it expects other views."""
+    views = Views(np.ones((1, 4, 5), np.float32), K, np.eye(3)[None], np.zeros((1, 3)))
+    ViewStore(tmp_path).keep("chair", KeptViews(views, "0" * 64, "0" * 64, Normalisation(np.zeros(3), 1.0),
+                                                3.0))
+    with pytest.raises(OcnfError, match="kept views say themselves") as caught:
+        read_scan(f"{tmp_path}/chair.h5", **{field: value})
+    assert caught.value.field == field
+    plain = {"depth_scale": None, "intrinsics": None, "poses": None, "pose_scale": 1, "crop": [0, 0, 0, 0]}
+    assert len(read_scan(f"{tmp_path}/chair.h5", **plain).views) == 1
