@@ -180,7 +180,8 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     from ocnf_data.verify.repair import damaged_shards, quarantine, restore_catalogues, restore_index
     from ocnf_data.verify.verify import verify
 
-    manifest = Manifest.from_dict(load_dataset(folder).manifest)
+    info = load_dataset(folder)
+    manifest, splits = Manifest.from_dict(info.manifest), tuple(info.splits)  # which need not be all of them
     with _Bar("verifying") as progress:
         report = verify(folder, jobs, progress)
     if not (damaged := damaged_shards(report)):
@@ -195,11 +196,12 @@ def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     if lost:
         # Whatever stands in the way of making them again is said before anything is set aside.
         root = manifest.meshes_root(meshes)
-        adopt(Store(folder), make_plan(manifest, root), lambda: make_plan(manifest.by_chance_alone(), root))
+        adopt(Store(folder), make_plan(manifest, root, splits),
+              lambda: make_plan(manifest.by_chance_alone(), root, splits))
         for shard in lost:
             for name in quarantine(folder, shard.path):
                 _out.print(f"set aside as {name}", highlight=False)
-        _out.print(generate(manifest, folder, meshes, jobs).table())
+        _out.print(generate(manifest, folder, meshes, jobs, splits=splits).table())
     else:
         for name in restore_catalogues(folder):
             _out.print(f"{name} was written again from the indices", highlight=False)

@@ -110,9 +110,15 @@ def make_plan(manifest: Manifest, meshes: Path | None, splits: Sequence[str] = S
         splits: which of them; the others are left out as if the manifest had none of their items.
 
     Raises:
-        OcnfError: the folder or a category is missing or empty, a key or a variant's name is too long.
+        OcnfError: the folder or a category is missing or empty, a key or a variant's name is too long, a
+            split is none, or none of those asked for has an item (`empty`).
     """
     items, exclusions = list_items(manifest, meshes, splits)
+    if not items and not exclusions:
+        there = {entry.split for entry in manifest.entries(meshes)}
+        raise OcnfError("the manifest has no item in the splits that are asked for", code="empty",
+                        where=manifest.name, field="splits", found=", ".join(splits) or "none",
+                        expected=", ".join(split for split in SPLITS if split in there) or None)
     size = manifest.shards.samples
     shards = []
     for split in SPLITS:
@@ -128,8 +134,10 @@ def list_items(manifest: Manifest, meshes: Path | None,
                splits: Sequence[str] = SPLITS) -> tuple[list[Item], list[Failure]]:
     """The items of some splits with their keys and checksums, in the source's order; and what is left out.
 
-    A mesh has the same key whichever splits are asked for. Arguments and errors as for `make_plan`.
+    A mesh has the same key whichever splits are asked for. Arguments and errors as for `make_plan`, but that
+    none of these splits need have an item.
     """
+    check_splits(splits, "splits")
     if meshes is not None and not meshes.is_dir():
         raise OcnfError("the folder of the meshes or scans is not there", code="missing", where=meshes,
                         field="source.root", fix="give it as --meshes ROOT")
@@ -145,6 +153,16 @@ def list_items(manifest: Manifest, meshes: Path | None,
     items = [Item(key, entry.split, entry.category, entry_source(entry), sha256, entry.index)
              for (key, entry), sha256 in zip(wanted, sums, strict=True)]
     return items, [row for row in exclusions if row.split in splits]
+
+
+def check_splits(splits: Sequence[str], field: str) -> None:
+    """Refuse names that no split has: taken for one without meshes, a slip of the pen gives an empty set."""
+    if isinstance(splits, str):
+        raise OcnfError("not a list of splits", field=field, found=splits, expected=f"[{splits!r}]")
+    for split in splits:
+        if split not in SPLITS:
+            raise OcnfError("no split of a manifest", code="missing", field=field, found=split,
+                            expected=", ".join(SPLITS))
 
 
 def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:

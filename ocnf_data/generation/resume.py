@@ -27,7 +27,7 @@ def adopt(store: Store, plan: Plan,
         store: the folder.
         plan: what the manifest gives today.
         by_chance_alone: what it gave before splits that chance had left empty were given a mesh; asked for
-            only where the folder was begun with fewer splits.
+            only where the folder was begun with fewer splits, or with other meshes in them.
 
     Returns:
         The plan, and sentences to warn the user with.
@@ -46,8 +46,10 @@ def adopt(store: Store, plan: Plan,
         return plan, []
     begun = _read(store.read_at_most(PLAN, max(_SMALL_PLAN, 4 * len(plan.to_json()))), where)
     _compare_manifests(begun, plan, where)
-    if by_chance_alone is not None and set(begun.splits) < set(plan.splits):
-        plan = by_chance_alone()
+    if by_chance_alone is not None and _places(begun) != _places(plan):
+        older = by_chance_alone()
+        if set(begun.splits) < set(plan.splits) or _places(begun) == _places(older):
+            plan = older
     _compare("libraries", begun.fingerprint["libraries"], plan.fingerprint["libraries"], where,
              "use the versions it was begun with, or generate into another folder")
     _compare_items(begun, plan, where)
@@ -88,6 +90,10 @@ def _compare(field: str, before: Mapping[str, Any], now: Mapping[str, Any], wher
             raise OcnfError("not the one the folder was begun with", code="changed", where=where,
                             field=f"{field}.{name}", found=now.get(name, "absent"),
                             expected=before.get(name, "absent"), fix=fix)
+
+
+def _places(plan: Plan) -> set[tuple[str, str]]:
+    return {(item.split, item.source) for item in plan.items}
 
 
 def _compare_items(begun: Plan, plan: Plan, where: str) -> None:

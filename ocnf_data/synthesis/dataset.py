@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
 from ocnf_data.loading.arguments import names, one_of, parse_resolutions, parse_targets, whole
 from ocnf_data.loading.catalogue import Request
 from ocnf_data.loading.drawn import DrawnDataset
@@ -88,6 +89,9 @@ class SynthesisDataset(DrawnDataset):
             if not isinstance(manifest, Manifest):
                 manifest = load_manifest(manifest)
             manifest = open_sources(manifest, manifest.meshes_root(meshes), split, chosen)
+        if manifest.split != split:
+            raise OcnfError("the sources were opened for another split", where="SynthesisDataset",
+                            field="split", found=split, expected=manifest.split)
         supply = SynthesisSupply(manifest, request, whole("seed", seed, least=0),
                                  None if cache is None else Path(cache))
         n_samples = manifest.settings.samples_per_epoch if samples_per_epoch is None else samples_per_epoch

@@ -9,7 +9,7 @@ from typing import Any
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json, sha256_hex
-from ocnf_data.generation.plan import entry_source, list_items
+from ocnf_data.generation.plan import check_splits, entry_source, list_items
 from ocnf_data.generation.records import Item
 from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.mixture import MixtureSource, SourcePart
@@ -72,8 +72,10 @@ def open_sources(manifest: Manifest, meshes: Path | None, split: str,
         categories: only these; None for all.
 
     Raises:
-        OcnfError: the folder or a category is missing, or nothing is left to draw from (`empty`).
+        OcnfError: there is no such split, the folder or a category is missing, or nothing is left to draw
+            from (`empty`).
     """
+    check_splits((split,), "split")
     source = manifest.source
     if isinstance(source, SequenceSource):
         raise OcnfError("samples without end are drawn of meshes, shapes and scenes, not of scans",

@@ -17,6 +17,8 @@ import pytest
 
 from ocnf_data.cli import main
 from ocnf_data.errors import OcnfError
+from ocnf_data.generation import generate
+from ocnf_data.manifest import Manifest
 
 MANIFEST = {
     "name": "tiny",
@@ -184,6 +186,19 @@ def test_repair_sets_nothing_aside_that_it_cannot_make_again(tmp_path) -> None:
     assert shard.read_bytes() == whole[:-1]
     assert ocnf("repair", out, "--jobs", 1, "--meshes", tmp_path / "meshes").status == 0
     assert shard.read_bytes() == whole
+
+
+def test_a_set_of_some_splits_is_repaired_as_it_was_made(tmp_path) -> None:
+    """As `ocnf-model train` makes its validation set: the other splits are none of its business."""
+    out = tmp_path / "set"
+    generate(Manifest.from_dict(MANIFEST), out, splits=["test"], progress=False)
+    shard = out / "test/shard-000000.tar"
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[:-512])
+    result = ocnf("repair", out, "--jobs", 1)
+    assert result.status == 0, result.err
+    assert shard.read_bytes() == whole and not (out / "train").exists()
+    assert ocnf("verify", out, "--jobs", 1).status == 0
 
 
 @pytest.fixture

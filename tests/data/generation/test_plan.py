@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
+from ocnf_data.generation import generate
 from ocnf_data.generation.plan import Plan, make_keys, make_plan
 from ocnf_data.generation.records import Failure, Item, ShardPlan
 from ocnf_data.manifest import Entry
@@ -120,3 +121,16 @@ def test_a_plan_survives_its_file(meshes, define) -> None:
     plan = make_plan(define(), root)
     assert len(plan.exclusions) == 1
     assert Plan.from_dict(json.loads(plan.to_json())) == plan
+
+
+@pytest.mark.parametrize(("splits", "message"), [
+    (["tran"], "splits: no split of a manifest; found tran, expected train, val, test"),
+    (["train", ""], "no split of a manifest"),
+    ("train", r"not a list of splits; found train, expected \['train'\]"),
+    (["val", "test"], "no item in the splits that are asked for; found val, test, expected train"),
+    ([], "no item in the splits that are asked for; found none, expected train")])
+def test_a_split_that_is_none_makes_no_data_set(meshes, define, tmp_path, splits, message) -> None:
+    """Without a mesh, a set would be finished at once, and empty."""
+    with pytest.raises(OcnfError, match=message):
+        generate(define(), tmp_path / "out", meshes(["a"]), splits=splits, progress=False)
+    assert not list((tmp_path / "out").rglob("*.json"))

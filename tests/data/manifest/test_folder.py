@@ -96,6 +96,15 @@ def test_a_set_begun_with_an_empty_split_goes_on(tmp_path: Path, capsys: pytest.
     assert plans[0]["manifest"] == plans[1]["manifest"]
 
 
+def test_one_split_of_a_set_made_by_chance_alone_goes_on(tmp_path: Path) -> None:
+    own = manifest(shares=SHARES)
+    root = place(tmp_path / "meshes", *(f"{i}.off" for i in range(4)))
+    drawn, now = (Counter(e.split for e in one.source.entries(root)) for one in (own.by_chance_alone(), own))
+    split = next(split for split in drawn if drawn[split] != now[split])
+    generate(own.by_chance_alone(), tmp_path / "old", root, splits=[split], progress=False)
+    assert generate(own, tmp_path / "old", root, splits=[split], progress=False).made == 0
+
+
 def test_what_training_needs_is_said_before_anything_is_made(tmp_path: Path,
                                                              capsys: pytest.CaptureFixture[str]) -> None:
     root = place(tmp_path / "meshes", "a.off", "b.off")

@@ -11,12 +11,14 @@ from torch.utils.data import DataLoader
 
 from ocnf_data import SynthesisDataset
 from ocnf_data.encodings import Encoding
+from ocnf_data.errors import OcnfError
 from ocnf_data.generation.plan import make_plan
 from ocnf_data.generation.sample import make_sample
 from ocnf_data.octree.codec import decode_raw
 from ocnf_data.shards.tarformat import input_member, target_member
 from ocnf_data.synthesis.draw import Body, Look
 from ocnf_data.synthesis.sample import make_inputs, make_truths, pose
+from ocnf_data.synthesis.sources import open_sources
 from ocnf_data.views.noise import NoiseModel
 from ocnf_data.views.rigs import rig_from_name
 
@@ -119,3 +121,12 @@ def test_workers_change_nothing_and_a_state_resumes_with_another_number_of_them(
     met += [contents(batch) for batch in other]
     assert met == wanted
     assert torch.utils.data.get_worker_info() is None
+
+
+def test_a_split_that_is_none_is_named(small):
+    scenes = {"kind": "scenes", "categories": ["rooms"], "counts": {"train": 1}}
+    for manifest in (small(), small(source=scenes)):
+        with pytest.raises(OcnfError, match="split: no split of a manifest; found tran, expected train, val"):
+            SynthesisDataset(manifest, 16, "tsdf", split="tran")
+    with pytest.raises(OcnfError, match="opened for another split; found train, expected val"):
+        SynthesisDataset(open_sources(small(), None, "val"), 16, "tsdf")
