@@ -169,48 +169,21 @@ app.command("report")(stoppable(_err, "no page was written; the same command sta
 def repair_command(folder: Folder, jobs: Jobs, meshes: Meshes = None) -> None:
     """Set damaged shards aside in DIR/quarantine and make exactly those again.
 
-    It is an error if a shard comes out different from what dataset.json lists. Nothing is deleted.
+    It is an error if a shard comes out different from what dataset.json lists; where that is damaged itself,
+    it is written again from the plan and the shards. Nothing is deleted.
     """
-    from ocnf_data.files.storage import Store
-    from ocnf_data.generation import generate
-    from ocnf_data.generation.plan import make_plan
-    from ocnf_data.generation.resume import adopt
-    from ocnf_data.manifest import Manifest
-    from ocnf_data.shards import load_dataset
-    from ocnf_data.verify.repair import damaged_shards, quarantine, restore_catalogues, restore_index
+    from ocnf_data.generation.mend import mend
+    from ocnf_data.verify.problems import VerifyReport
     from ocnf_data.verify.verify import verify
 
-    info = load_dataset(folder)
-    manifest, splits = Manifest.from_dict(info.manifest), tuple(info.splits)  # which need not be all of them
-    with _Bar("verifying") as progress:
-        report = verify(folder, jobs, progress)
-    if not (damaged := damaged_shards(report)):
-        _out.print("[green]no shard is damaged[/]")
-    lost = []
-    for shard in damaged:
-        _out.print(f"{shard.path}: {shard.problems[0].what}", highlight=False, markup=False)
-        if restore_index(folder, shard.split, shard.shard):
-            _out.print("  the tar is whole, its index was written again", highlight=False)
-        else:
-            lost.append(shard)
-    if lost:
-        # Whatever stands in the way of making them again is said before anything is set aside.
-        root = manifest.meshes_root(meshes)
-        adopt(Store(folder), make_plan(manifest, root, splits),
-              lambda: make_plan(manifest.by_chance_alone(), root, splits))
-        for shard in lost:
-            for name in quarantine(folder, shard.path):
-                _out.print(f"set aside as {name}", highlight=False)
-        _out.print(generate(manifest, folder, meshes, jobs, splits=splits).table())
-    else:
-        for name in restore_catalogues(folder):
-            _out.print(f"{name} was written again from the indices", highlight=False)
-    if not report.ok:
+    def look() -> VerifyReport:
         with _Bar("verifying") as progress:
-            left = verify(folder, jobs, progress).problems
-        for problem in left:
-            print_error(f"cannot be repaired: {problem}", _err)
-        raise typer.Exit(1 if left else 0)
+            return verify(folder, jobs, progress)
+
+    left = mend(folder, meshes, jobs, look, _out)
+    for problem in left:
+        print_error(f"cannot be repaired: {problem}", _err)
+    raise typer.Exit(1 if left else 0)
 
 
 @app.command("export")

@@ -25,9 +25,8 @@ ARROWS = {
     "ocnf_data.__main__": "ocnf_data.cli",
     "ocnf_data.arrays": "",
     "ocnf_data.cli":
-        "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.files ocnf_data.generation "
-        "ocnf_data.inspection ocnf_data.manifest ocnf_data.meshes ocnf_data.report ocnf_data.shards "
-        "ocnf_data.terminal ocnf_data.verify",
+        "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.generation ocnf_data.inspection "
+        "ocnf_data.manifest ocnf_data.meshes ocnf_data.report ocnf_data.terminal ocnf_data.verify",
     "ocnf_data.doctor": "ocnf_data.arrays ocnf_data.errors ocnf_data.render ocnf_data.views",
     "ocnf_data.encodings": "",
     "ocnf_data.errors": "",
@@ -40,7 +39,8 @@ ARROWS = {
     "ocnf_data.generation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.manifest ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.scenes "
-        "ocnf_data.sequences ocnf_data.shapes ocnf_data.shards ocnf_data.version ocnf_data.views",
+        "ocnf_data.sequences ocnf_data.shapes ocnf_data.shards ocnf_data.verify ocnf_data.version "
+        "ocnf_data.views",
     "ocnf_data.inspection":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.generation "
         "ocnf_data.manifest ocnf_data.octree ocnf_data.render ocnf_data.sequences ocnf_data.shards "

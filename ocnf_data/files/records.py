@@ -61,7 +61,7 @@ class Record(Strict):
             raise OcnfError("not JSON", where=where, found=error) from None
         if canonical != blob:
             raise OcnfError("not the text that was written: damaged, or changed by hand", code="checksum",
-                            where=where, fix="run `ocnf-data generate` again: it writes the file again")
+                            where=where, fix="`ocnf-data repair` writes the file again")
         return record
 
 

@@ -14,6 +14,7 @@ from ocnf_data.manifest import manifest_difference
 from ocnf_data.shards.dataset import DATASET, PLAN
 
 _SMALL_PLAN = 64 * 2**20  # bytes; larger ones are read if they are about as large as the plan to be followed
+_LARGEST_PLAN = 2**30
 _ELSEWHERE = "generate into another folder, or put it back as it was"
 # They decide when to give up, not what comes out; and where meshes lie is no part of what they are.
 _FREE_FIELDS = ("source.root", "limits.timeout_s", "limits.failure_threshold")
@@ -58,6 +59,15 @@ def adopt(store: Store, plan: Plan,
         warnings.append(f"begun on a {begun.fingerprint['cpu']}, resumed on a {plan.fingerprint['cpu']}: "
                         "the bytes should be the same, but that is tested on one type of CPU only")
     return begun, warnings
+
+
+def read_plan(store: Store) -> Plan:
+    """The plan that a folder was begun with.
+
+    Raises:
+        OcnfError: there is none (`missing`), or it is none.
+    """
+    return _read(store.read_at_most(PLAN, _LARGEST_PLAN), store.where(PLAN))
 
 
 def _read(blob: bytes, where: str) -> Plan:

@@ -20,32 +20,20 @@ from rich.console import Console
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.storage import Store
+from ocnf_data.generation.account import done_before, finish
 from ocnf_data.generation.backends import run_tasks
 from ocnf_data.generation.fingerprint import view_fingerprint
 from ocnf_data.generation.outcome import Report, split_notes
 from ocnf_data.generation.plan import Plan, make_plan
 from ocnf_data.generation.progress import ProgressDisplay, live_folder
-from ocnf_data.generation.records import Failure
 from ocnf_data.generation.resume import adopt
 from ocnf_data.generation.sequences import scan_notes
-from ocnf_data.generation.shard_task import ShardDone, ShardTask, failures_path, find_done, jsonl
+from ocnf_data.generation.shard_task import ShardDone, ShardTask
 from ocnf_data.generation.worker import supervisor
 from ocnf_data.generation.worker.supervisor import ChildLimits, ChildSetup
 from ocnf_data.manifest import SPLITS, Manifest, load_manifest
 from ocnf_data.manifest.sequence import SequenceSource
-from ocnf_data.shards.catalogue import SplitCatalogue
-from ocnf_data.shards.dataset import (
-    DATASET,
-    FAILURES,
-    PLAN,
-    Counts,
-    DatasetInfo,
-    FileEntry,
-    load_dataset,
-    write_dataset,
-)
-from ocnf_data.shards.index import catalogue_path
-from ocnf_data.shards.writer import file_sha256
+from ocnf_data.shards.dataset import DAMAGE, DATASET, find_dataset
 from ocnf_data.views.store import ViewStore
 
 VIEWS = "views"
@@ -112,8 +100,14 @@ def generate(
         for warning in warnings:
             console.print(f"[yellow]warning:[/] {warning}")
         store.clean_temporaries()  # of a run that was killed
-        done = _done_before(store, plan, retry_failed)
-        before = load_dataset(store) if store.exists(DATASET) else None
+        finished = store.exists(DATASET)
+        # Another schema is damage too: the plan, which was compared, is of this version of ocnf.
+        before = find_dataset(store, damage=DAMAGE | {"schema"}) if finished else None
+        damaged = finished and before is None
+        if damaged:
+            console.print("note: dataset.json is damaged; it is written again from plan.json and the shards, "
+                          "which are read in full", highlight=False, markup=False)
+        done = done_before(store, plan, before, retry_failed=retry_failed, check_sha256=damaged)
         if before is not None and any(shard.name not in done for shard in plan.shards) and retry_failed:
             store.remove(DATASET)  # its shards are about to change
             before = None
@@ -123,13 +117,7 @@ def generate(
                            maker=supervisor.DEFAULT_MAKER)
         limits = ChildLimits(item_seconds=manifest.limits.timeout_s)
         made = _make_missing(store, plan, setup, limits, jobs, backend, console, done)
-        info, failures, files = _account(store, plan, manifest, done)
-        if before is not None:
-            _compare(before, info, store)
-        for name, data in files.items():
-            if not (store.exists(name) and store.size(name) == len(data) and store.read_bytes(name) == data):
-                store.put_bytes(name, data)
-        write_dataset(store, info)
+        info, failures = finish(store, plan, manifest.name, done, before)
     return Report(store.url, info.counts.items, info.counts.samples, failures, plan.exclusions, made,
                   sum(entry.size for _, entry in info.shards()), time.perf_counter() - begin,
                   manifest.limits.failure_threshold, tuple(warnings))
@@ -174,12 +162,6 @@ def _without_items(manifest: dict[str, Any]) -> dict[str, Any]:
     return {**manifest, "source": {**source, "items": {split: entries[:1]}}}  # none at all would be refused
 
 
-def _done_before(store: Store, plan: Plan, retry_failed: bool) -> dict[str, ShardDone]:
-    names = {name for folder in (*plan.splits, "failures") for name in store.list(folder)}
-    found = [find_done(store, shard, names) for shard in plan.shards]
-    return {one.name: one for one in found if one is not None and not (retry_failed and one.failures)}
-
-
 def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: ChildLimits, jobs: int, backend: str,
                   console: Console, done: dict[str, ShardDone]) -> int:
     """Make the shards that are not in `done` and add them; returns how many items they have."""
@@ -201,39 +183,3 @@ def _make_missing(store: Store, plan: Plan, setup: ChildSetup, limits: ChildLimi
     finally:
         store.clean_temporaries()  # of workers that died
     return n_items
-
-
-def _account(store: Store, plan: Plan, manifest: Manifest, done: dict[str, ShardDone]
-             ) -> tuple[DatasetInfo, tuple[Failure, ...], dict[str, bytes]]:
-    """What `dataset.json` is to say; the failures; and the files to be written before it, by name."""
-    in_order = [(shard, done[shard.name]) for shard in plan.shards]
-    failures = tuple(failure for _, one in in_order for failure in one.failures)
-    rows = jsonl([*failures, *plan.exclusions])
-    catalogues = {}
-    for split in plan.splits:
-        contents = (one.contents for shard, one in in_order if shard.split == split)
-        catalogues[catalogue_path(split)] = SplitCatalogue.of(split, contents).to_bytes()
-    files = [FileEntry(name=PLAN, size=store.size(PLAN), sha256=file_sha256(store, PLAN)),
-             FileEntry.of(FAILURES, rows),
-             *(FileEntry.of(failures_path(shard), jsonl(one.failures))
-               for shard, one in in_order if one.failures),
-             *(FileEntry.of(name, data) for name, data in catalogues.items())]
-    samples = sum(one.entry.samples for _, one in in_order)
-    counts = Counts(items=len(plan.items) + len(plan.exclusions), samples=samples, failures=len(failures),
-                    exclusions=len(plan.exclusions))
-    splits = {split: tuple(one.entry for shard, one in in_order if shard.split == split)
-              for split in plan.splits}
-    info = DatasetInfo(name=manifest.name, manifest=plan.manifest, fingerprint=plan.fingerprint,
-                       counts=counts, splits=splits, files=tuple(files))
-    return info, failures, {FAILURES: rows, **catalogues}
-
-
-def _compare(before: DatasetInfo, now: DatasetInfo, store: Store) -> None:
-    """A finished data set that was repaired must be the one that `dataset.json` lists."""
-    listed = {(split, entry.shard): entry.sha256 for split, entry in before.shards()}
-    for split, entry in now.shards():
-        if listed.get((split, entry.shard)) != entry.sha256:
-            raise OcnfError("the shard, made again, is not the one that dataset.json lists",
-                            code="changed", where=store.where(f"{split}/{entry.shard}"), found=entry.sha256,
-                            expected=f"sha256 {listed.get((split, entry.shard), 'none')}",
-                            fix="if an item failed this time, --retry-failed makes its shard once more")

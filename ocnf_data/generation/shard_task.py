@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
@@ -78,21 +78,23 @@ def make_shard(task: ShardTask) -> ShardDone:
     return ShardDone(shard.name, writer.entry, ShardContents.of(writer.index), tuple(failures))
 
 
-def find_done(store: Store, shard: ShardPlan, names: Collection[str]) -> ShardDone | None:
+def find_done(store: Store, shard: ShardPlan, names: Collection[str],
+              check_sha256: bool = False) -> ShardDone | None:
     """The shard, if it is done: whole, and every planned item is in it or has a failure row. None otherwise.
 
     Args:
         store: the data set.
         shard: the planned shard.
         names: all files of the data set (`store.list()`), so that looking costs one listing for all shards.
+        check_sha256: read the tar, too.
     """
     index_name = index_path(shard.split, f"shard-{shard.number:06d}.tar")
     if index_name not in names:
         return None
-    index = find_complete(store, shard.split, shard.number)
-    if index is None:
-        return None
+    index = find_complete(store, shard.split, shard.number, check_sha256)
     failures = _read_failures(store, shard) if failures_path(shard) in names else []
+    if index is None or failures is None:
+        return None
     accounted = [sample.key for sample in index.samples] + [failure.item for failure in failures]
     if sorted(accounted) != sorted(item.key for item in shard.items):
         return None
@@ -126,6 +128,17 @@ def _put_failures(store: Store, shard: ShardPlan, failures: Sequence[Failure]) -
         store.remove(failures_path(shard))  # of an earlier try
 
 
-def _read_failures(store: Store, shard: ShardPlan) -> list[Failure]:
-    lines = store.read_at_most(failures_path(shard), _MAX_FAILURES).splitlines()
-    return [Failure.from_json(json.loads(line)) for line in lines]
+def _read_failures(store: Store, shard: ShardPlan) -> list[Failure] | None:
+    """The rows of a shard's failures; None where they are not as they were written."""
+    try:
+        data = store.read_at_most(failures_path(shard), _MAX_FAILURES)
+    except OcnfError as error:
+        if error.code not in ("missing", "too_large"):  # says nothing about the bytes
+            raise
+        return None
+    try:
+        rows = [Failure.from_json(json.loads(line)) for line in data.splitlines()]
+        whole = jsonl(rows) == data and all(isinstance(value, str) for row in rows for value in astuple(row))
+    except (KeyError, RecursionError, TypeError, ValueError):
+        return None
+    return rows if whole else None

@@ -28,6 +28,8 @@ DATASET = "dataset.json"
 FAILURES = "failures.jsonl"
 PLAN = "plan.json"
 MAX_DATASET_BYTES = 256 * 2**20
+DAMAGE = frozenset({"checksum", "invalid", "too_large"})
+"""The codes of `load_dataset` for a file that is not as it was written."""
 
 _FIELDS = ("bytes", "index_sha256", "samples", "sha256", "shard")
 _VALUES = ("%d", '"%s"', "%d", '"%s"', '"%s"')
@@ -180,4 +182,24 @@ def load_dataset(url: str | Store) -> DatasetInfo:
             raise
         raise OcnfError("there is no finished data set here", code="missing", where=store.where(DATASET),
                         fix="run `ocnf-data generate`; it resumes what was interrupted") from None
-    return DatasetInfo.from_json(blob, store.where(DATASET), MAX_DATASET_BYTES)
+    try:
+        return DatasetInfo.from_json(blob, store.where(DATASET), MAX_DATASET_BYTES)
+    except OcnfError as error:
+        if error.code not in DAMAGE:
+            raise
+        raise error.replaced(fix="`ocnf-data repair` writes it again from plan.json and the shards") from None
+
+
+def find_dataset(url: str | Store, damage: frozenset[str] = DAMAGE) -> DatasetInfo | None:
+    """`load_dataset`, or None where the file is there and damaged.
+
+    Args:
+        url: folder or fsspec URL.
+        damage: the codes that are taken for damage; all others are raised.
+    """
+    try:
+        return load_dataset(url)
+    except OcnfError as error:
+        if error.code not in damage:
+            raise
+        return None

@@ -134,9 +134,15 @@ def quarantine(url: str | Store, path: str) -> list[str]:
     split, _, shard = path.partition("/")
     moved = []
     for name in (index_path(split, shard), path):
-        if _is_taken(store, name):
-            moved.append(_move(store, name, _free_name(store, f"{QUARANTINE}/{name}")))
+        moved += set_aside(store, name)
     return moved
+
+
+def set_aside(store: Store, name: str) -> list[str]:
+    """Move a file, or what is in its place, to `quarantine/`: its new name, or nothing if it is not there."""
+    if not _is_taken(store, name):
+        return []
+    return [_move(store, name, _free_name(store, f"{QUARANTINE}/{name}"))]
 
 
 def _is_file(store: Store, name: str, data: bytes) -> bool:

@@ -28,6 +28,7 @@ MANIFEST = {
     "inputs": [{"name": "v2", "views": 2, "sigma": 0.02, "encodings": ["tsdf"]}],
     "shards": {"samples": 2},
 }
+TRIANGLE = "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 2 1\n"
 
 
 class Result(NamedTuple):
@@ -171,7 +172,7 @@ def test_watertight(tmp_path) -> None:
 def test_repair_sets_nothing_aside_that_it_cannot_make_again(tmp_path) -> None:
     meshes, out = tmp_path / "meshes/chair/train", tmp_path / "set"
     meshes.mkdir(parents=True)
-    (meshes / "a.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 2 1\n")
+    (meshes / "a.off").write_text(TRIANGLE)
     manifest = tmp_path / "tiny.yaml"
     source = {"kind": "modelnet", "categories": ["chair"], "counts": {"train": "all"}}
     manifest.write_text(json.dumps({**MANIFEST, "source": source}))
@@ -214,18 +215,12 @@ def no_plan(out: Path) -> str:
     return "plan.json"
 
 
-def piped_failures(out: Path) -> str:
-    (out / "failures.jsonl").unlink()
-    os.mkfifo(out / "failures.jsonl")
-    return "failures.jsonl"
-
-
 def strange_shard(out: Path) -> str:
     shutil.copy(out / "train/shard-000000.tar", out / "train/shard-000099.tar")
     return "train/shard-000099.tar"
 
 
-@pytest.mark.parametrize("damage", [no_plan, piped_failures, strange_shard])
+@pytest.mark.parametrize("damage", [no_plan, strange_shard])
 def test_repair_names_what_it_cannot_mend(damage, copied) -> None:
     name = damage(copied)
     assert ocnf("verify", copied, "--jobs", 1).status == 1
@@ -233,6 +228,90 @@ def test_repair_names_what_it_cannot_mend(damage, copied) -> None:
     assert result.status == 1
     assert f"cannot be repaired: {name}: " in result.err
     assert "no shard is damaged" in result.out
+
+
+@pytest.fixture(scope="module")
+def refusing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `set`, of two good meshes and one that fails, in two shards; and `meshes`."""
+    folder = tmp_path_factory.mktemp("refusing")
+    (folder / "meshes/chair/train").mkdir(parents=True)
+    for name, text in (("a", TRIANGLE), ("b", TRIANGLE.replace("1 0 0", "2 0 0")), ("bad", "OFF\n")):
+        (folder / f"meshes/chair/train/{name}.off").write_text(text)
+    source = {"kind": "modelnet", "categories": ["chair"], "counts": {"train": "all"}}
+    report = generate(Manifest.from_dict({**MANIFEST, "source": source}), folder / "set", folder / "meshes",
+                      progress=False)
+    assert (report.samples, len(report.failures)) == (2, 1)
+    return folder
+
+
+def whole_files(out: Path) -> dict[str, bytes]:
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*"))
+            if path.is_file() and path.relative_to(out).parts[0] not in ("quarantine", "timings")}
+
+
+def flipped(path: Path, at: bytes) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data.replace(at, at[:-1] + bytes([at[-1] ^ 1]), 1))
+
+
+@pytest.mark.parametrize("damage", [
+    lambda path: flipped(path, b'"tiny'), lambda path: path.write_bytes(path.read_bytes()[:-200]),
+    lambda path: path.write_bytes(b"")])
+def test_a_damaged_dataset_json_is_made_again_by_either_command(refusing, tmp_path, damage) -> None:
+    """By `repair` without the meshes: the plan, the indices and the rows of failures say it all."""
+    out = tmp_path / "set"
+    shutil.copytree(refusing / "set", out)
+    whole = whole_files(out)
+    damage(out / "dataset.json")
+    broken = (out / "dataset.json").read_bytes()
+    result = ocnf("verify", out, "--jobs", 1)
+    assert result.status == 1 and "repair" in result.out
+    result = ocnf("repair", out, "--jobs", 1)
+    assert result.status == 0, result.err
+    assert (out / "quarantine/dataset.json").read_bytes() == broken
+    assert whole_files(out) == whole
+    damage(out / "dataset.json")
+    manifest = tmp_path / "tiny.yaml"
+    manifest.write_text(json.dumps(json.loads(whole["plan.json"])["manifest"]))
+    result = ocnf("generate", manifest, "--out", out, "--meshes", refusing / "meshes", "--jobs", 1)
+    assert "dataset.json is damaged" in result.err
+    assert whole_files(out) == whole
+
+
+def test_shards_and_dataset_json_damaged_together(refusing, tmp_path) -> None:
+    """What the tars must be is lost with it: each is held against its index, and made again if it differs."""
+    out = tmp_path / "set"
+    shutil.copytree(refusing / "set", out)
+    whole = whole_files(out)
+    flipped(out / "dataset.json", b'"tiny')
+    shard = out / "train/shard-000001.tar"
+    shard.write_bytes(whole["train/shard-000001.tar"][:-1] + b"x")
+    before = whole_files(out)
+    result = ocnf("repair", out, "--jobs", 1)
+    assert result.status == 1 and "--meshes ROOT" in result.err
+    assert whole_files(out) == before and not (out / "quarantine").exists()
+    assert ocnf("repair", out, "--jobs", 1, "--meshes", refusing / "meshes").status == 0
+    assert whole_files(out) == whole
+    assert (out / "quarantine/train/shard-000001.tar").read_bytes()[-1:] == b"x"
+
+
+@pytest.mark.parametrize("what", ["rows", "all rows", "pipe"])
+def test_damaged_rows_of_failures_are_made_again(refusing, tmp_path, what) -> None:
+    out = tmp_path / "set"
+    shutil.copytree(refusing / "set", out)
+    whole = whole_files(out)
+    (rows,) = (out / "failures").iterdir()
+    path = rows if what == "rows" else out / "failures.jsonl"
+    if what == "pipe":
+        path.unlink()
+        os.mkfifo(path)
+    else:
+        flipped(path, b'"chai')
+    assert ocnf("verify", out, "--jobs", 1).status == 1
+    result = ocnf("repair", out, "--jobs", 1, *(("--meshes", refusing / "meshes") if what == "rows" else ()))
+    assert result.status == 0, result.err
+    assert whole_files(out) == whole
+    assert f"set aside as quarantine/{path.relative_to(out)}" in result.out
 
 
 def test_what_stands_in_a_shards_place_is_set_aside(copied) -> None:

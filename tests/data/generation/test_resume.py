@@ -261,6 +261,48 @@ def test_a_lost_or_damaged_file_is_made_again(meshes, define, tmp_path, contents
     assert contents(out) == before
 
 
+@pytest.mark.parametrize("damage", [
+    lambda data: data.replace(b'"tiny"', b'"tinx"'), lambda data: data[:-100], lambda data: b"",
+    lambda data: data.replace(b'"schema": 1', b'"schema": 3'), lambda data: b"\xff" + data])
+def test_a_damaged_account_is_as_good_as_none(meshes, define, tmp_path, contents, fake, damage) -> None:
+    root, out = meshes([*(f"ok_{i}" for i in range(6)), "refuse_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    account = out / "dataset.json"
+    account.write_bytes(damage(before["dataset.json"]))
+    assert account.read_bytes() != before["dataset.json"]
+    assert generate(define(), out, root, progress=False).made == 0
+    assert contents(out) == before
+    account.write_bytes(damage(before["dataset.json"]))
+    tar = out / "train/shard-000001.tar"
+    tar.write_bytes(bytes([tar.read_bytes()[0] ^ 1]) + tar.read_bytes()[1:])
+    assert generate(define(), out, root, progress=False).made == 3
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("finished", [True, False])
+@pytest.mark.parametrize("damage", [
+    lambda row: row[:-9], lambda row: b"\xff" + row, lambda row: row.replace(b"{", b"["),
+    lambda row: b"[" * 100_000, lambda row: b"7\n", lambda row: row.replace(b'"stage"', b'"state"'),
+    lambda row: row.replace(b'"render"', b"7"), lambda row: row.replace(b"render", b"rendes")])
+def test_damaged_rows_of_failures_are_as_good_as_none(
+        meshes, define, tmp_path, contents, fake, damage, finished) -> None:
+    """The shard is made again. A letter within a text is told by dataset.json alone."""
+    root, out = meshes([*(f"ok_{i}" for i in range(6)), "refuse_1"]), tmp_path / "out"
+    generate(define(), out, root, progress=False)
+    before = contents(out)
+    (rows,) = (out / "failures").iterdir()
+    data = rows.read_bytes()
+    rows.write_bytes(damage(data))
+    assert rows.read_bytes() != data
+    if not finished:
+        if b"rendes" in rows.read_bytes():
+            return
+        (out / "dataset.json").unlink()
+    assert generate(define(), out, root, progress=False).made in (3, 4)
+    assert contents(out) == before
+
+
 def test_a_shard_that_comes_out_different_is_refused(meshes, define, tmp_path, contents, fake) -> None:
     """`dataset.json` lists bytes; a repaired data set must have those, or be left without them."""
     root, out = meshes(["ok_1", "segfault-unfixed_1"]), tmp_path / "out"

@@ -16,7 +16,7 @@ import yaml
 from rich.console import Console
 from typer.testing import CliRunner
 
-import ocnf_data.generation.run as generation
+import ocnf_data.generation.account as account
 from ocnf_data import generate
 from ocnf_data.errors import OcnfError
 from ocnf_data.manifest import Manifest
@@ -116,7 +116,7 @@ def test_a_run_stopped_while_making_the_validation_set_is_taken_up(manifest, sma
     def stop(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(generation, "write_dataset", stop)
+    monkeypatch.setattr(account, "write_dataset", stop)
     with pytest.raises(KeyboardInterrupt):
         train(manifest, out, small(levels=1), device="cpu")
     monkeypatch.undo()
