@@ -24,8 +24,9 @@ from ocnf_data.export.vdb import openvdb, vdb_files
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
+from ocnf_data.manifest import Manifest
 from ocnf_data.shards.browse import StoredSample
-from ocnf_data.shards.dataset import ShardEntry, load_dataset
+from ocnf_data.shards.dataset import DatasetInfo, ShardEntry, load_dataset
 from ocnf_data.shards.reader import ShardReader
 
 _FILES: dict[ExportFormat, Callable[[ExportSample], dict[str, bytes]]] = {
@@ -128,9 +129,9 @@ def export_dataset(
         progress: called with (samples done, samples in all).
 
     Raises:
-        OcnfError: no such data set or split, settings that do not fit the format, a folder with an export of
-            other settings (`misfit`), a missing library. A sample that cannot be exported is a failure in the
-            report and does not stop the others.
+        OcnfError: no such data set or split, settings that do not fit the format or the data set's manifest,
+            a folder with an export of other settings (`misfit`), a missing library. A sample that cannot be
+            exported is a failure in the report and does not stop the others.
     """
     settings = ExportSettings(  # which turns names into what they stand for
         cast(ExportFormat, format), resolution, variant, cast("Encoding | None", encoding), points,
@@ -139,13 +140,14 @@ def export_dataset(
         openvdb()
     source, target = Store(url), Store(out)
     info = load_dataset(source)
+    _check(settings, info, source)
     tasks = list(_tasks(info.splits, splits, limit, source))
     total = sum(task.n for task in tasks)
     report = ExportReport(target.url)
     listed: dict[str, list[tuple[str, str]]] = {task.split: [] for task in tasks}
     done = 0
     with exclusive(target):
-        _adopt(target, settings, info.identity)
+        begun = _adopt(target, settings, info.identity)
         there = frozenset(target.list())
         for task, rows in _run(source, target, settings, tasks, there, jobs):
             for row in rows:
@@ -159,10 +161,33 @@ def export_dataset(
                     report.size += row.size or 0
                 if progress is not None:
                     progress(done, total)
-        if settings.format is ExportFormat.POINTS:
+        if not (begun or report.written or report.kept):
+            target.remove(_record(settings))  # nothing here is of these settings: others may be right
+        elif settings.format is ExportFormat.POINTS:
             _write_lists(target, listed)
     report.failures.sort(key=lambda failure: failure[0])
     return report
+
+
+def _check(settings: ExportSettings, info: DatasetInfo, source: Store) -> None:
+    """Refuse what no sample has, before the folder is bound to it."""
+    try:
+        manifest = Manifest.from_dict(info.manifest)
+    except OcnfError:  # no manifest of this version's: the samples will say
+        return
+
+    def refuse(field: str, found: object, there: Sequence[object]) -> OcnfError:
+        return OcnfError(f"the data set has no such {field}", code="missing", where=source.url, field=field,
+                         found=found, expected=", ".join(map(str, there)))
+
+    if settings.resolution not in (None, *manifest.resolutions):
+        raise refuse("resolution", settings.resolution, manifest.resolutions)
+    if settings.variant not in (None, *(one.name for one in manifest.inputs)):
+        raise refuse("variant", settings.variant, [one.name for one in manifest.inputs])
+    asked = [one for one in manifest.inputs if settings.variant in (None, one.name)]
+    encodings = list(dict.fromkeys(encoding for one in asked for encoding in one.encodings))
+    if settings.encoding not in (None, *encodings):
+        raise refuse("encoding", settings.encoding, encodings)
 
 
 def _tasks(shards: dict[str, tuple[ShardEntry, ...]], splits: Sequence[str] | None, limit: int | None,
@@ -182,9 +207,13 @@ def _tasks(shards: dict[str, tuple[ShardEntry, ...]], splits: Sequence[str] | No
             left = None if left is None else left - n
 
 
-def _adopt(target: Store, settings: ExportSettings, identity: str) -> None:
-    """Record what is exported, or refuse to go on with something else."""
-    name = f"export-{settings.format}.json"
+def _record(settings: ExportSettings) -> str:
+    return f"export-{settings.format}.json"
+
+
+def _adopt(target: Store, settings: ExportSettings, identity: str) -> bool:
+    """Record what is exported, or refuse to go on with something else; whether it was recorded before."""
+    name = _record(settings)
     record = {"data_set": identity, **settings.to_dict()}
     if target.exists(name):
         try:
@@ -199,8 +228,9 @@ def _adopt(target: Store, settings: ExportSettings, identity: str) -> None:
                                 where=target.where(name), field=setting, found=_said(value),
                                 expected=_said(known[setting]),
                                 fix="give the same settings, or another folder")
-        return
+        return True
     target.put_bytes(name, canonical_json(record))
+    return False
 
 
 def _run(source: Store, target: Store, settings: ExportSettings, tasks: list[_Task], there: frozenset[str],

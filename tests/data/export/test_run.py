@@ -9,6 +9,8 @@ import pytest
 from ocnf_data.errors import OcnfError
 from ocnf_data.export import export_dataset
 from ocnf_data.files.storage import Store
+from ocnf_data.manifest import Manifest
+from ocnf_data.shards import load_dataset, write_dataset
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -82,6 +84,38 @@ def test_other_settings_or_another_data_set_are_refused(shapes: Store, tmp_path:
     with pytest.raises(OcnfError, match="damaged"):
         export_dataset(shapes.url, out, "points", points=50, limit=1)
     assert export_dataset(shapes.url, out, "dense", resolution=32, limit=1).written == 2  # beside it
+
+
+@pytest.mark.parametrize(("wrong", "field", "expected"), [
+    ({"resolution": 128}, "resolution", "32, 64"), ({"variant": "v9"}, "variant", "v2"),
+    ({"encoding": "occupancy"}, "encoding", "tsdf, histogram")])
+def test_a_mistyped_setting_does_not_bind_the_folder(shapes: Store, tmp_path: Path, wrong: dict, field: str,
+                                                     expected: str) -> None:
+    """By the manifest before anything is written; without one, because no sample was."""
+    right, out = {"resolution": 32, "variant": "v2", "encoding": "tsdf"}, tmp_path / "out"
+    report = export_dataset(shapes.url, out, "dense", **{**right, **wrong})
+    assert report.written == 0 and len(report.failures) == 4
+    assert export_dataset(shapes.url, out, "dense", **right).written == 4
+    manifest = Manifest.from_dict({
+        "name": "known", "source": {"kind": "shapes", "categories": ["chair"], "counts": {"train": 4}},
+        "resolutions": [32, 64],
+        "inputs": [{"name": "v2", "views": 2, "sigma": 0.02, "encodings": ["tsdf", "histogram"]}]})
+    write_dataset(shapes, load_dataset(shapes).model_copy(update={"manifest": manifest.to_dict()}))
+    with pytest.raises(OcnfError) as caught:
+        export_dataset(shapes.url, tmp_path / "new", "dense", **{**right, **wrong})
+    assert (caught.value.field, caught.value.expected) == (field, expected)
+    assert not (tmp_path / "new").exists()
+    assert export_dataset(shapes.url, tmp_path / "new", "dense", **right).written == 4
+
+
+def test_the_record_stays_where_a_sample_was_written(shapes: Store, tmp_path: Path) -> None:
+    """Though this run made none: what lies there is of these settings."""
+    export_dataset(shapes.url, tmp_path, "dense", resolution=64, splits=["test"])
+    (shapes.root / "train/shard-000000.tar").unlink()
+    report = export_dataset(shapes.url, tmp_path, "dense", resolution=64, splits=["train"])
+    assert (report.written, report.kept) == (0, 0)
+    with pytest.raises(OcnfError, match="other settings"):
+        export_dataset(shapes.url, tmp_path, "dense", resolution=32)
 
 
 def test_a_sample_that_fails_does_not_stop_the_others(shapes: Store, tmp_path: Path) -> None:
