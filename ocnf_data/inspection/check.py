@@ -1,12 +1,13 @@
 """Is a data set physically right? Compares stored octrees with the meshes; shares no code with fusion.
 
-For some samples the mesh is read and rendered again, and then
+For some samples the mesh is read and rendered again, or the frames of the scan, and then
 - *cells*: at random voxels of every octree, the value is that of a plain float64 evaluation of all views
   (half of the voxels lie in width-1 leaves, where the surface is), within the rounding that storage allows,
   and the sign is the same; voxels whose projection is a rounding tie are left out;
 - *range*: values lie in [-1, 1], and histograms sum to 1;
 - *surface*: the ground truth's zero crossings lie on the mesh, measured against the points that the clean
-  depth maps see, and the mesh's seen points lie on zero crossings.
+  depth maps see, and the mesh's seen points lie on zero crossings. Of a scan the crossings between voxels
+  that some frame counts lie on what the frames measured; what single frames mistook lies where it may.
 `ocnf-data verify` checks bytes; this checks meaning.
 """
 
@@ -25,8 +26,10 @@ from ocnf_data.arrays import F64, I64, Bool
 from ocnf_data.encodings import Encoding
 from ocnf_data.generation.remake import remake
 from ocnf_data.manifest import Manifest
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
+from ocnf_data.sequences.known import known_surface
 from ocnf_data.shards.browse import StoredSample, stored_samples
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_data.shards.tarformat import input_member, target_member
@@ -36,6 +39,7 @@ TARGET_ERROR, INPUT_ERROR = 5e-4, 1 / 255  # what storing may change, in units o
 ROUNDING = 1e-6  # of float32 against float64
 TIE = 1e-6  # pixels
 NEAR_SURFACE = 0.75  # voxels, median of the distances
+_CELLS = 8  # along a voxel: what frames have measured is told apart by as much
 ON_SURFACE = 0.9  # share of seen mesh points within 1.5 voxels of a zero crossing
 
 
@@ -146,6 +150,34 @@ def check_surface(octree: GridOctree, views: Views, level: float, extent: float)
     return text, median < NEAR_SURFACE and share > ON_SURFACE
 
 
+def check_measured_surface(octree: GridOctree, views: Views, level: float, extent: float) -> tuple[str, bool]:
+    """Distances of a scan's crossings that were measured to what its frames have measured, in voxels."""
+    from scipy.spatial import cKDTree
+
+    voxel = extent / octree.shape[0]
+    cut = octree_surface(octree, extent, level=level) if level else known_surface(octree, extent)
+    if len(cut[0]) == 0:
+        return "no zero crossing", False
+    measured = _places(views, octree.shape[0] * _CELLS, extent)
+    if len(measured) == 0:
+        return "no measurement in the cube", False
+    median = float(np.median(cKDTree(measured).query(cut[0], workers=-1)[0])) / voxel
+    return f"median {median:.2f} voxels off what the frames measured", median < NEAR_SURFACE
+
+
+def _places(views: Views, n: int, extent: float) -> F64:
+    """The centres of those of n x n x n cells of the cube that something was measured in: millions of pixels
+    see few places.
+    """
+    keys = []
+    for points in _seen_points(views):
+        cells = np.floor((points / extent + 0.5) * n).astype(np.int64)
+        cells = cells[((cells >= 0) & (cells < n)).all(axis=1)]
+        keys.append(np.unique(cells @ np.array([n * n, n, 1])))
+    key = np.unique(np.concatenate(keys))
+    return (np.stack([key // (n * n), key // n % n, key % n], axis=1) + 0.5) * (extent / n) - extent / 2
+
+
 def _seen_points(views: Views) -> Iterator[F64]:
     """World points of the pixels that hit, view by view."""
     for i in range(len(views)):
@@ -172,7 +204,8 @@ def check_sample(sample: StoredSample, manifest: Manifest, meshes: Path | None, 
             yield Finding(sample.key, name, "cells", *found)
         kind = Encoding.OCCUPANCY if occupancy else Encoding.TSDF
         yield Finding(sample.key, name, "range", *check_range(target, kind))
-        surface = check_surface(target, remade.views, 0.5 if occupancy else 0.0, extent)
+        check = check_measured_surface if isinstance(manifest.source, SequenceSource) else check_surface
+        surface = check(target, remade.views, 0.5 if occupancy else 0.0, extent)
         yield Finding(sample.key, name, "surface", *surface)
         for variant in manifest.inputs:
             for encoding in variant.encodings:
