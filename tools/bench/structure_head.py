@@ -14,8 +14,7 @@ import argparse
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -30,7 +29,7 @@ from ocnf_data.arrays import F32, Bool
 from ocnf_model.checkpoint import load_run
 from ocnf_model.losses import Pair, l1_loss
 from ocnf_model.metrics import tsdf_overlap
-from ocnf_model.network import Level, Output
+from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.training.batches import Example, make_example
 
@@ -62,12 +61,14 @@ def near_surface(tsdf: F32) -> Bool:
     return near
 
 
-def examples(data: str, split: str, variant: str, epoch: int) -> Iterator[Example]:
-    """Samples one by one."""
-    dataset = ShardDataset(data, split, [_RESOLUTION], "histogram", variant=variant, uneven="exact")
+def examples(network: OctNetFusion, data: str, split: str, variant: str, epoch: int) -> Iterator[Example]:
+    """Samples one by one; the one input of each is what the first level reads."""
+    dataset = ShardDataset(data, split, network.reads([_RESOLUTION]), network.encoding, variant=variant,
+                           uneven="exact", targets=[_RESOLUTION])
     dataset.set_epoch(epoch)
     for batch in dataset:
-        yield make_example(batch, Output.TSDF, Output.TSDF, torch.device("cpu"))
+        example = make_example(batch, Output.TSDF, Output.TSDF, torch.device("cpu"))
+        yield replace(example, inputs=[network.level_input(None, example.inputs, 0)])
 
 
 def head_loss(logits: OctreeBatch, truth: OctreeBatch) -> Tensor:
@@ -81,13 +82,14 @@ def head_loss(logits: OctreeBatch, truth: OctreeBatch) -> Tensor:
     return pair.sum_over_voxels(costs).mean() / total
 
 
-def train(level: Level, head: nn.Linear | None, arguments: argparse.Namespace) -> int:
+def train(network: OctNetFusion, head: nn.Linear | None, arguments: argparse.Namespace) -> int:
     """Train on for the given processor time; the number of steps."""
+    level = network.levels[0].train()
     parameters = [*level.parameters(), *([] if head is None else head.parameters())]
     optimiser = torch.optim.Adam(parameters, _RATE)
     spent, steps = 0.0, 0
     while True:
-        for example in examples(arguments.data, "train", arguments.variant, steps):
+        for example in examples(network, arguments.data, "train", arguments.variant, steps):
             began = time.process_time()
             optimiser.param_groups[0]["lr"] = _RATE * (1 + math.cos(math.pi * spent / arguments.seconds)) / 2
             found = level(example.inputs[-1])
@@ -105,10 +107,11 @@ def train(level: Level, head: nn.Linear | None, arguments: argparse.Namespace) -
 
 
 @torch.no_grad()
-def measure(level: Level, head: nn.Linear | None, arguments: argparse.Namespace) -> Figures:
+def measure(network: OctNetFusion, head: nn.Linear | None, arguments: argparse.Namespace) -> Figures:
     """The figures on the split `val`."""
+    level = network.levels[0].eval()
     rows = []
-    for example in examples(arguments.data, "val", arguments.variant, 0):
+    for example in examples(network, arguments.data, "val", arguments.variant, 0):
         found = level(example.inputs[-1])
         ours = near_surface(found.raw.to_dense()[0, 0].numpy())
         true = near_surface(example.target.to_dense()[0, 0].numpy())
@@ -137,10 +140,9 @@ def main() -> None:
     for name in ("as shipped", "L1", "L1 and cross entropy"):
         torch.manual_seed(0)
         network = load_run(arguments.run, 1).requires_grad_(True)
-        level = cast(Level, network.levels[0])
         head = nn.Linear(network.channels[0], 1) if name.endswith("entropy") else None
-        steps = 0 if name == "as shipped" else train(level.train(), head, arguments)
-        found = measure(level.eval(), head, arguments)
+        steps = 0 if name == "as shipped" else train(network, head, arguments)
+        found = measure(network, head, arguments)
         table.add_row(name, str(steps), f"{found.iou:.3f}", f"{found.by_reconstruction:.3f}",
                       "" if head is None else f"{found.by_head:.3f}", f"{found.split:.2f}")
     Console().print(table)

@@ -10,24 +10,35 @@ the sake of its peak memory.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import resource
 import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
 from rich.console import Console
 from rich.table import Table
 
+from ocnf_data.loading.batch import Batch
+from ocnf_data.loading.epochs import EpochDataset
 from ocnf_model.devices import pick_device
 from ocnf_model.losses import l1_loss
 from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.batches import make_example
 from ocnf_model.training.data import open_data
 from ocnf_model.training.settings import TrainSettings
+
+
+def endless(loader: EpochDataset) -> Iterator[Batch]:
+    """The batches of one epoch after another."""
+    for epoch in itertools.count():
+        loader.set_epoch(epoch)
+        yield from loader
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, float]:
@@ -40,7 +51,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, float]:
     network = OctNetFusion(arguments.encoding, arguments.level, checkpointing=arguments.checkpointing)
     network.to(device)
     optimiser = torch.optim.Adam(network.levels[level].parameters(), 1e-4, weight_decay=1e-4)
-    batches = iter(data.training(Path(), settings, level))
+    batches = endless(data.training(Path(), settings, level))
     times: dict[str, list[float]] = {"read": [], "step": [], "leaves": []}
     for _ in range(arguments.steps + 1):
         began = time.perf_counter()

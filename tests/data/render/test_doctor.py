@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
+import tomllib
 from ctypes.util import find_library
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +34,16 @@ def test_this_machine() -> None:
     assert {"Python", "machine", "disk", "libraries: core"} <= {check.name for check in checks}
     for check in checks:
         assert check.status in (Status.OK, Status.NOTE) or check.fix
+
+
+def test_it_looks_for_what_the_package_asks_for() -> None:
+    """Each requirement in pyproject.toml, of the extras that people use; and nothing that no extra has."""
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    asked = {"core": project["dependencies"], **project["optional-dependencies"]}
+    for extra, names in doctor._LIBRARIES.items():
+        wanted = {re.split(r"[\[>=]", requirement)[0] for requirement in asked[extra]}
+        looked_for = {"dask" if name == "distributed" else name for name in names} - {"PyOpenGL"}
+        assert looked_for == wanted, extra
 
 
 def test_the_probe_measures(monkeypatch: pytest.MonkeyPatch) -> None:
