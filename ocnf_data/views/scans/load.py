@@ -103,6 +103,7 @@ def _read_depths(frames: Sequence[Frame], unit: float, where: object,
             raise OcnfError("frames differ in size", where=frames[i].depth, found=stored.shape,
                             expected=(height, width))
         depth[i] = to_metres(stored, unit)
+        depth[i][np.isposinf(depth[i])] = 0  # an NPY's: whoever wrote it has measured nothing there
         if not (depth[i] >= 0).all():
             raise OcnfError("depth is negative", where=frames[i].depth, found=float(depth[i].min()))
 

@@ -281,9 +281,10 @@ def _as_npy(folder: Path, change: Callable[[np.ndarray], np.ndarray] = lambda de
     (folder / "transforms.json").write_text(json.dumps(data))
 
 
-def test_depth_as_npy(scene, write: Write) -> None:
+@pytest.mark.parametrize("missing", [np.nan, np.inf])
+def test_depth_as_npy(missing: float, scene, write: Write) -> None:
     folder = write("transforms")
-    _as_npy(folder, lambda depth: np.where(depth == 0, np.nan, depth))
+    _as_npy(folder, lambda depth: np.where(depth == 0, missing, depth))
     np.testing.assert_allclose(read_scan(folder).views.depth, scene.depth, atol=6e-4)
     file = folder / "depth/00002.npy"
     file.write_bytes(file.read_bytes()[:-8])
