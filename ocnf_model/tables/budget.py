@@ -23,6 +23,7 @@ PAPER_TRAIN, PAPER_VAL, PAPER_TEST = 200, 5, 20
 """Meshes of each category in the published selection."""
 SCAN_TRAIN, SCAN_TEST = 12, 6
 """Of the paper's 20 configurations of each scan; two more validate."""
+WEIGHT_MODELS = 5
 PAPER_RESOLUTIONS = (64, 128, 256)
 PAPER_EPOCHS = (50, 25, 25)
 
@@ -46,7 +47,7 @@ class Budget:
     test: int
     settings: TrainSettings
     stand_ins: Mapping[str, str] = field(default_factory=dict)
-    weight_models: int = 5
+    weight_models: int = WEIGHT_MODELS
     of_scans: bool = False
 
     @property
@@ -103,7 +104,7 @@ def make_budget(
     root: Path, tables: Sequence[TableSpec], *, meshes: int | None = None, test: int | None = None,
     settings: TrainSettings | None = None, resolutions: Sequence[int] | None = None,
     epochs: Sequence[int] | None = None, categories: Sequence[str] | None = None,
-    stand_ins: Mapping[str, str] | None = None, weight_models: int = 5,
+    stand_ins: Mapping[str, str] | None = None, weight_models: int = WEIGHT_MODELS,
 ) -> Budget:
     """The budget that a user names; what is not named is the paper's.
 
@@ -194,6 +195,9 @@ def _folders_of(root: Path, of_scans: bool) -> tuple[str, ...]:
 
 def _choose_categories(root: Path, there: Sequence[str], asked: Sequence[str] | None,
                        stand_ins: Mapping[str, str]) -> tuple[str, ...]:
+    if strangers := sorted(set(stand_ins) - set(PAPER_CATEGORIES)):
+        raise OcnfError("not among the paper's categories", field="--stand-in", found=", ".join(strangers),
+                        expected=", ".join(PAPER_CATEGORIES))
     published = [stand_ins.get(category, category) for category in PAPER_CATEGORIES]
     chosen = asked or (published if set(published) <= set(there) else there)
     for category in dict.fromkeys([*chosen, *stand_ins.values()]):

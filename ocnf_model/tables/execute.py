@@ -82,7 +82,8 @@ class Executor:
 
     def _weights(self, step: Step) -> Path:
         assert step.input is not None
-        return self._layout.out / "weights" / f"{self._layout.data(step.variant, step.input)}.json"
+        data = self._layout.data(step.variant, step.input)
+        return self._layout.out / "weights" / f"{self._layout.weighed(data)}.json"
 
     def _run(self, step: Step) -> Path:
         assert step.network is not None and step.input is not None

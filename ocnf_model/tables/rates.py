@@ -233,7 +233,7 @@ def _measure(budget: Budget, root: Path, out: Path, device: str, tables: Sequenc
     (out / "runs" / str(_MANY)).rename(out / "runs" / run)
     timed = {kind: _rate(executor, Step(kind, name, f"{kind}/x/x", name, spec, network), len(chosen))
              for kind in (StepKind.EVALUATE, StepKind.TIME)}
-    weights = Path("weights") / f"{data.name}.json"
+    weights = Path("weights") / f"{layout.weighed(data.name)}.json"
     run_choose_weight(str(data), out=out / weights, resolutions=small.resolutions[:1], n_models=1)  # compile
     weigh = _seconds(lambda: executor.do(Step(StepKind.CHOOSE_WEIGHT, name, str(weights), name, spec)))
     choices = json.loads((out / weights).read_bytes())["choices"]

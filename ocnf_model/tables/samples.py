@@ -30,7 +30,8 @@ def sample_figures(table: TableSpec, layout: Layout, row: Line, column: Line) ->
     network = network_of(table, row, column)
     data = layout.data(variant, table.inputs[variant])
     run = None if network is None else layout.run(network, table.inputs[variant])
-    parts = [layout.out / (f"baselines/{data}" if run is None else f"networks/{run}") / "models.csv"]
+    made = f"baselines/{layout.weighed(data)}" if run is None else f"networks/{run}"
+    parts = [layout.out / made / "models.csv"]
     is_time = table.quantity is Quantity.SECONDS
     parts += [layout.out / "times" / f"{data}.csv"] if is_time else []
     if not all(part.is_file() for part in parts):

@@ -1,7 +1,8 @@
 """The steps that a table takes, in order: what each makes, and whether that is there already.
 
     OUT/data/VARIANT-KEY/               a data set for each input, for all tables
-    OUT/weights/VARIANT-KEY.json        TV-L1's weights, chosen on its validation split
+    OUT/weights/VARIANT-KEY.json        TV-L1's weights, chosen on its validation split; KEY-wN, and so what
+                                        follows from them, where on another number of models than usual
     OUT/baselines/VARIANT-KEY/          VolFus and TV-L1 on its test split
     OUT/runs/NETWORK-KEY/               a training run for each network
     OUT/networks/NETWORK-KEY/           that network on the test split
@@ -27,7 +28,7 @@ from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.manifest import Entry
 from ocnf_data.shards.dataset import DATASET
 from ocnf_model.evaluation.methods import Method
-from ocnf_model.tables.budget import Budget
+from ocnf_model.tables.budget import WEIGHT_MODELS, Budget
 from ocnf_model.tables.schema import (
     InputSpec,
     Line,
@@ -110,6 +111,11 @@ class Layout:
         manifest = self.budget.manifest(variant, self.input(variant, spec))
         return f"{variant}-{short_key([manifest.to_dict(), self._meshes])}"
 
+    def weighed(self, made: str) -> str:
+        """The name of what TV-L1's weights go into, of what it is made from: a data set or a run."""
+        n = self.budget.weight_models
+        return made if n == WEIGHT_MODELS else f"{made}-w{n}"
+
     def run(self, network: NetworkSpec, spec: InputSpec) -> str:
         """Name of the folder of a network's run."""
         settings, usual = self.budget.network_settings(network).decisive(), TrainSettings().decisive()
@@ -162,8 +168,9 @@ def _steps(table: TableSpec, layout: Layout) -> Iterator[Step]:
     for name, spec in inputs.items():
         yield Step(StepKind.GENERATE, name, f"data/{data[name]}/{DATASET}", name, spec)
     for name, spec in inputs.items():
-        yield Step(StepKind.CHOOSE_WEIGHT, name, f"weights/{data[name]}.json", name, spec)
-        yield Step(StepKind.BASELINES, name, f"baselines/{data[name]}/models.csv", name, spec)
+        yield Step(StepKind.CHOOSE_WEIGHT, name, f"weights/{layout.weighed(data[name])}.json", name, spec)
+        yield Step(StepKind.BASELINES, name, f"baselines/{layout.weighed(data[name])}/models.csv", name,
+                   spec)
     for network in table.networks.values():
         spec = inputs[network.input]
         run = layout.run(network, spec)
@@ -177,9 +184,9 @@ def _steps(table: TableSpec, layout: Layout) -> Iterator[Step]:
         if category in budget.categories:
             network = list(table.networks.values())[-1]  # the paper's own encoding stands last
             spec = inputs[network.input]
-            yield Step(StepKind.DRAW, f"{category} by {network.name}",
-                       f"figures/{layout.run(network, spec)}/{category}.png", network.input, spec, network,
-                       category)
+            drawn = layout.weighed(layout.run(network, spec))
+            yield Step(StepKind.DRAW, f"{category} by {network.name}", f"figures/{drawn}/{category}.png",
+                       network.input, spec, network, category)
     yield Step(StepKind.WRITE, table.name, f"tables/{table.name}.md", table=table)
 
 

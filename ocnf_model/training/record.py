@@ -88,7 +88,7 @@ def read_record(folder: Path) -> RunRecord:
         raise OcnfError("not the settings of a run of this version", code="schema", where=where)
     sums = validate(_Sums, {name: fields[name] for name in _Sums.model_fields if name in fields}, where)
     return RunRecord(read_settings(fields.get("settings"), where),
-                  validate(TrainingData, fields.get("data"), where), sums.validation, sums.start)
+                     validate(TrainingData, fields.get("data"), where), sums.validation, sums.start)
 
 
 def refuse_strangers(folder: Path) -> None:

@@ -161,7 +161,7 @@ def _training_data(source: DataSource, folder: Path, settings: TrainSettings) ->
 def _begin(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion) -> None:
     """Write down what the run is, once nothing speaks against its going on; refuse anything else's folder."""
     ours = RunRecord(settings, _training_data(source, folder, settings),
-                  source.validation(folder, settings, 0).checksum, start_checksums(settings))
+                     source.validation(folder, settings, 0).checksum, start_checksums(settings))
     if not is_begun(folder):
         refuse_strangers(folder)
         write_record(folder, ours)

@@ -101,9 +101,9 @@ class TrainSettings(Strict):
 
     levels: Positive = 3
     """Resolutions that are reconstructed one after the other, coarse to fine."""
-    resolutions: tuple[Positive, ...] | None = None
-    """Voxels along each axis, level by level, each twice the one before; None for the data set's, coarse to
-    fine."""
+    resolutions: tuple[Annotated[Int, Field(ge=32, multiple_of=32)], ...] | None = None
+    """Voxels along each axis, level by level, each twice the one before, in multiples of 32 (a level pools
+    twice); None for the data set's, coarse to fine."""
     encoding: Encoding = Encoding.HISTOGRAM
     """Encoding of the inputs; the data set has to hold it."""
     variant: str | None = None

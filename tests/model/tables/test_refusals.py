@@ -27,6 +27,8 @@ Make = Callable[..., TablePlan]
     ("views", {"epochs": [0]}, "--epochs: the budget is too small for one epoch"),
     ("views", {"epochs": [1], "hours": 1.0}, "--hours: epochs and hours are two budgets"),
     ("views", {"resolutions": [32, 64]}, "the levels do not fit the resolutions; found 1, expected 2, for"),
+    ("views", {"resolutions": [48]}, r"resolutions\[0\]: .* found 48, expected a multiple of 32"),
+    ("views", {"stand_ins": {"dsk": "table"}}, "--stand-in: not among the paper's categories; found dsk"),
     ("kinect", {}, "the table cannot be made: it needs scans: give their folder with --scans DIR"),
     ("completion", {}, "the table cannot be made: it needs the Voxlets data: .* --voxlets DIR"),
     ("views", {"up": "x"}, "--up: not an axis that can point up; found x, expected y or z"),

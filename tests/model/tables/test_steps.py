@@ -13,7 +13,7 @@ import pytest
 from ocnf_model.tables.budget import Budget, listed, make_budget
 from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.schema import TABLE_NAMES, TableSpec, load_table
-from ocnf_model.tables.steps import Layout, plan_steps
+from ocnf_model.tables.steps import Layout, StepKind, plan_steps
 from ocnf_model.training.settings import TrainSettings
 
 TABLES = [table for table in map(load_table, TABLE_NAMES) if table.pipeline == "samples"]
@@ -60,6 +60,14 @@ def test_other_epochs_are_other_runs_of_the_same_data(budget: Budget, root: Path
     ours, theirs = layout(budget, root), layout(budget.with_epochs([2]), root)
     assert targets(TABLES, ours, "generate") == targets(TABLES, theirs, "generate")
     assert not set(targets(TABLES, ours, "train")) & set(targets(TABLES, theirs, "train"))
+
+
+def test_what_a_weight_chosen_on_more_models_goes_into_is_made_again(budget: Budget, root: Path) -> None:
+    ours, theirs = layout(budget, root), layout(replace(budget, weight_models=7), root)
+    for kind in StepKind:
+        shared = set(targets(TABLES, ours, kind)) & set(targets(TABLES, theirs, kind))
+        again = kind in (StepKind.CHOOSE_WEIGHT, StepKind.BASELINES, StepKind.DRAW)
+        assert not shared if again else shared == set(targets(TABLES, ours, kind)), kind
 
 
 def test_other_meshes_of_the_same_names_are_other_data(budget: Budget, root: Path, tmp_path: Path) -> None:

@@ -86,6 +86,13 @@ def test_a_list_that_is_none_is_named() -> None:
         merge_options(None, {}, {"epochs": "1.5"})
 
 
+def test_resolutions_that_cannot_be_pooled_twice_are_refused() -> None:
+    """As the data set has them, before a run is begun."""
+    for there in ([16, 32], [48, 96]):
+        with pytest.raises(OcnfError, match=r"OUT: resolutions\[0\]: .* expected a multiple of 32"):
+            TrainSettings(levels=2).resolved({"resolutions": there, "target": "tsdf"}, "v", "OUT")
+
+
 def test_difference_names_the_field() -> None:
     ours = TrainSettings()
     assert setting_difference(ours, TrainSettings(workers=7, checkpointing=True, save_every=3)) is None
