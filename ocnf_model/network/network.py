@@ -157,7 +157,8 @@ class OctNetFusion(nn.Module):
             x = encoded.refined(structure)
         else:
             reconstruction = before.reconstruction
-            carried = before.features if self.carry is Carry.FEATURES else reconstruction
+            carried = before.features if self.carry is Carry.FEATURES else \
+                reconstruction.to(dtype=before.raw.features.dtype)  # as short as the weights are
             x = split_surface(carried, reconstruction, self.band, guide=structure,
                               threshold=self.output.threshold)
             x = concat(x, encoded.to(dtype=x.features.dtype))  # autocast makes the carried ones short

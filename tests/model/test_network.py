@@ -298,6 +298,13 @@ def test_mixed_precision(inputs) -> None:
     assert all(p.grad is not None and p.grad.isfinite().all() for p in trained)
 
 
+def test_what_the_published_code_carries_is_of_the_weights_type(inputs) -> None:
+    network = OctNetFusion(**SMALL, levels=2, carry="reconstruction", output="occupancy").eval().bfloat16()
+    with torch.no_grad():
+        results = network.run([x.to(dtype=torch.bfloat16) for x in inputs])
+    assert [result.raw.features.dtype for result in results] == [torch.bfloat16] * 2
+
+
 def test_probabilities_are_finer_than_their_logits_in_mixed_precision(inputs) -> None:
     """Between 1 - 1/256 and 1 there is no bfloat16."""
     network = OctNetFusion(**SMALL, levels=1, output="occupancy").eval()
