@@ -207,6 +207,10 @@ class Store:
             finally:
                 path.unlink(missing_ok=True)
 
+    def holds(self, name: str, data: bytes) -> bool:
+        """Whether the file is there and holds exactly this."""
+        return self.exists(name) and self.size(name) == len(data) and self.read_bytes(name) == data
+
     def put_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
         """Write a whole file, replacing one of that name."""
         with self.writing(name) as path:

@@ -73,7 +73,7 @@ def finish(store: Store, plan: Plan, name: str, done: dict[str, ShardDone],
     if before is not None:
         _compare(before, info, store)
     for file, data in files.items():
-        if not (store.exists(file) and store.size(file) == len(data) and store.read_bytes(file) == data):
+        if not store.holds(file, data):
             store.put_bytes(file, data)
     write_dataset(store, info)
     return info, failures

@@ -23,9 +23,15 @@ from ocnf_data.generation.resume import adopt, read_plan
 from ocnf_data.generation.shard_task import failures_path
 from ocnf_data.manifest import Manifest
 from ocnf_data.shards.dataset import DATASET, FAILURES, DatasetInfo, FileEntry, find_dataset, load_dataset
-from ocnf_data.shards.index import index_path, shard_name, shard_path
+from ocnf_data.shards.index import is_shard, shard_name, shard_path
 from ocnf_data.verify.problems import Problem, VerifyReport
-from ocnf_data.verify.repair import damaged_shards, restore_catalogues, restore_index, set_aside
+from ocnf_data.verify.repair import (
+    damaged_shards,
+    quarantine,
+    restore_catalogues,
+    restore_index,
+    set_aside,
+)
 
 
 def mend(url: str, meshes: str | os.PathLike[str] | None, jobs: int, look: Callable[[], VerifyReport],
@@ -58,7 +64,7 @@ def mend(url: str, meshes: str | os.PathLike[str] | None, jobs: int, look: Calla
         if restore_index(store, shard.split, shard.shard):
             _say(console, "  the tar is whole, its index was written again")
         else:
-            lost += [index_path(shard.split, shard.shard), shard.path]
+            lost.append(shard.path)
     lost += _restore_failures(store, info, report, console, all_shards=not lost)
     if lost:
         _make_again(store, Manifest.from_dict(info.manifest), tuple(info.splits), meshes, jobs, lost, console)
@@ -75,8 +81,7 @@ def _restore_dataset(store: Store, meshes: str | os.PathLike[str] | None, jobs: 
     manifest = Manifest.from_dict(plan.manifest)
     done = done_before(store, plan, check_sha256=True)
     lost = [name for shard in plan.shards if shard.name not in done
-            for name in (index_path(shard.split, shard_name(shard.number)),
-                         shard_path(shard.split, shard_name(shard.number)), failures_path(shard))]
+            for name in (shard_path(shard.split, shard_name(shard.number)), failures_path(shard))]
     if lost:
         _make_again(store, manifest, plan.splits, meshes, jobs, [*lost, DATASET], console)
         return
@@ -121,8 +126,8 @@ def _make_again(store: Store, manifest: Manifest, splits: Sequence[str],
 
 
 def _set_aside(store: Store, names: Sequence[str], console: Console) -> None:
-    for name in names:
-        for moved in set_aside(store, name):
+    for name in names:  # a shard's index with it
+        for moved in quarantine(store, name) if is_shard(name) else set_aside(store, name):
             _say(console, f"set aside as {moved}")
 
 

@@ -17,7 +17,14 @@ from ocnf_data.manifest import Manifest, Variant
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
-from ocnf_data.render.pictures import Window, busiest_plane, busiest_window, draw_depth, draw_slice
+from ocnf_data.render.pictures import (
+    Window,
+    busiest_plane,
+    busiest_window,
+    depth_limits,
+    draw_depth,
+    draw_slice,
+)
 from ocnf_data.render.shade import best_azimuth, shade
 from ocnf_data.sequences.known import known_surface
 from ocnf_data.shards.browse import StoredSample
@@ -162,11 +169,8 @@ def _draw_views(first: Axes, others: list[Axes], remade: Remade, variant: Varian
     """
     indices = facts["views"]
     clean, noisy = remade.views.depth, remade.observed[variant.name].depth
-    seen = clean[list(indices)]
-    hit = seen[np.isfinite(seen) & (seen > 0)]
-    limits = (float(hit.min()), float(hit.max())) if hit.size else (0.0, 1.0)
-    noise = f"sigma {variant.sigma:g}" if variant.noise == "park" else \
-        f"{variant.noise}, strength {variant.strength:g}"
+    limits = depth_limits(clean[list(indices)])
+    noise = variant.noise_in_words
     titles = [f"depth without noise, view {indices[0]}", *(f"input view {i}, {noise}" for i in indices)]
     if "frames" in facts:
         titles = [f"depth of {facts['frames'][0]}", *(f"input, {name}" for name in facts["frames"])]

@@ -65,3 +65,10 @@ class Variant(Strict):
     def _each_once(cls, encodings: tuple[Encoding, ...]) -> tuple[Encoding, ...]:
         refuse_repeats([str(encoding) for encoding in encodings])
         return encodings
+
+    @property
+    def noise_in_words(self) -> str:
+        """For captions: `sigma 0.02`, or `kinect, strength 1`."""
+        if self.noise == "park":
+            return f"sigma {self.sigma:g}"
+        return f"{self.noise}, strength {self.strength:g}"

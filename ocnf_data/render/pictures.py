@@ -142,6 +142,12 @@ def depth_colours(depth: F32, limits: tuple[float, float]) -> F64:
     return colours
 
 
+def depth_limits(depth: F32) -> tuple[float, float]:
+    """The nearest and the farthest measurement in metres, for `depth_colours`; 0 and 1 if there is none."""
+    hit = depth[np.isfinite(depth) & (depth > 0)]
+    return (float(hit.min()), float(hit.max())) if hit.size else (0.0, 1.0)
+
+
 def depth_scale(n: int = 9) -> list[str]:
     """The colours of `depth_colours` from the nearest depth to the farthest, `#rrggbb`."""
     import matplotlib as mpl

@@ -14,7 +14,7 @@ from ocnf_data.generation.remake import Remade, remake, remake_from_surface
 from ocnf_data.manifest import Manifest, Variant
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
-from ocnf_data.render.pictures import busiest_plane, depth_scale
+from ocnf_data.render.pictures import busiest_plane, depth_limits, depth_scale
 from ocnf_data.render.shade import best_azimuth, shade
 from ocnf_data.report.contents import Card, Contents, Scale, as_webp, signed_surface
 from ocnf_data.report.deviation import Deviation
@@ -165,8 +165,7 @@ def add_views(contents: Contents, remade: Remade, variant: Variant, facts: Mappi
     `facts` are the sample's of the input: its views, and of scans their frames' names.
     """
     indices, observed = facts["views"], remade.observed[variant.name]
-    noise = f"sigma {variant.sigma:g}" if variant.noise == "park" else \
-        f"{variant.noise}, strength {variant.strength:g}"
+    noise = variant.noise_in_words
     of_what = "" if is_mesh else ", of the ground truth's surface in place of the mesh"
     caption = f"{len(indices)} views, {noise}{of_what}"
     titles = [f"view {indices[0]} without noise", *(f"view {view}, {noise}" for view in indices)]
@@ -175,8 +174,7 @@ def add_views(contents: Contents, remade: Remade, variant: Variant, facts: Mappi
         titles = [f"{facts['frames'][0]}, as measured", *facts["frames"]]
     contents.points(NOISY, observed, caption)
     clean = remade.views.depth[list(indices)]
-    hit = clean[np.isfinite(clean) & (clean > 0)]
-    limits = (float(hit.min()), float(hit.max())) if hit.size else (0.0, 1.0)
+    limits = depth_limits(clean)
     for title, depth in zip(titles, [clean[0], *observed.depth], strict=True):
         contents.depth(title, depth, limits)
 

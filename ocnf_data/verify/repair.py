@@ -107,7 +107,7 @@ def restore_catalogues(url: str | Store) -> list[str]:
         name = catalogue_path(split)
         data = made_catalogue(store, info, split).to_bytes()
         files[name] = FileEntry.of(name, data)
-        if not _is_file(store, name, data):
+        if not store.holds(name, data):
             store.put_bytes(name, data)
             written.append(name)
     if tuple(files.values()) != info.files:
@@ -143,11 +143,6 @@ def set_aside(store: Store, name: str) -> list[str]:
     if not _is_taken(store, name):
         return []
     return [_move(store, name, _free_name(store, f"{QUARANTINE}/{name}"))]
-
-
-def _is_file(store: Store, name: str, data: bytes) -> bool:
-    """Whether the file is there and holds exactly this."""
-    return store.exists(name) and store.size(name) == len(data) and store.read_bytes(name) == data
 
 
 def _is_taken(store: Store, name: str) -> bool:

@@ -17,6 +17,7 @@ from ocnf_model.completion.predict import CompletionNetwork, choose_threshold, w
 from ocnf_model.completion.sample import LEVELS, SIZE
 from ocnf_model.network import Normaliser, Output
 from ocnf_model.training.choice import BestBy
+from ocnf_model.training.effects import no_effect
 from ocnf_model.training.record import is_begun
 from ocnf_model.training.run import train
 from ocnf_model.training.settings import Decay, Stage, TrainSettings, load_settings, read_settings
@@ -76,9 +77,8 @@ def _refuse_without_effect(settings: TrainSettings, given: Mapping[str, Any], wh
                    settings.resolutions or resolutions, resolutions))
     for name, reason, found, expected in checks:
         if found != expected:
-            raise OcnfError(f"it would have no effect: {reason}", code="manifest", where=where, field=name,
-                            found=found, expected="null" if expected is None else expected,
-                            fix="leave it out")
+            raise no_effect(name, reason, where, found, "null" if expected is None else expected,
+                            "leave it out")
 
 
 def run_completion_training(data: str, out: Path, *, settings: Path | None = None, synthetic: int = 40,

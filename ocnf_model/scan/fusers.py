@@ -163,8 +163,10 @@ Fuser = Baseline | Learned
 def fuse_tile(fuser: Fuser, pyramid: DepthPyramid, cube: Region) -> GridOctree:
     """The finest octree of one of many tiles; where no surface was measured, that of plain fusion."""
     if isinstance(fuser, Learned):
-        coarse, fine = ((resolution, cube.size, fuser.truncation(cube.size / resolution))
-                        for resolution in (fuser.resolutions[0], fuser.resolution))
-        if not (np.abs(fuse_tsdf(pyramid, *coarse, centre=cube.centre).data) < 1).any():
-            return fuse_tsdf(pyramid, *fine, centre=cube.centre)
+        def plain(resolution: int) -> GridOctree:
+            return fuse_tsdf(pyramid, resolution, cube.size, fuser.truncation(cube.size / resolution),
+                             centre=cube.centre)
+
+        if not (np.abs(plain(fuser.resolutions[0]).data) < 1).any():
+            return plain(fuser.resolution)
     return fuser(pyramid, cube)[fuser.resolution]

@@ -16,7 +16,7 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.terminal import check_up
-from ocnf_model.tables.budget import make_budget
+from ocnf_model.tables.budget import WEIGHT_MODELS, make_budget
 from ocnf_model.tables.completion import CompletionGroup
 from ocnf_model.tables.groups import SampleGroup, TableGroup
 from ocnf_model.tables.plan import TablePlan, megabytes
@@ -40,8 +40,8 @@ def make_tables(
     name: str, root: str | Path, out: str | Path, *, meshes: int | None = None, test: int | None = None,
     settings: TrainSettings | None = None, resolutions: Sequence[int] | None = None,
     epochs: Sequence[int] | None = None, hours: float | None = None, categories: Sequence[str] | None = None,
-    stand_ins: Mapping[str, str] | None = None, weight_models: int = 5, device: str = "auto", jobs: int = 1,
-    scans: str | Path | None = None, voxlets: str | Path | None = None, dry_run: bool = False,
+    stand_ins: Mapping[str, str] | None = None, weight_models: int = WEIGHT_MODELS, device: str = "auto",
+    jobs: int = 1, scans: str | Path | None = None, voxlets: str | Path | None = None, dry_run: bool = False,
     up: str = "z", console: Console | None = None,
 ) -> TablePlan:
     """Make a table of the paper, or all, in a folder; what is there already is used.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -54,6 +55,37 @@ class DataSource(Protocol):
         """The samples to validate a level with, each once."""
 
 
+@dataclass(frozen=True)
+class OtherData:
+    """A data set to validate with that is not the one that is trained on.
+
+    Attributes:
+        url: folder or fsspec URL.
+        manifest: its resolved manifest.
+    """
+
+    url: str
+    manifest: dict[str, Any]
+
+    @classmethod
+    def checked(cls, url: str, training: dict[str, Any], where: str) -> OtherData:
+        """The data set, if its values mean what those to train on do.
+
+        Args:
+            url: folder or fsspec URL.
+            training: manifest of what is trained on.
+            where: its name, for messages.
+        """
+        manifest = dict(load_dataset(url).manifest)
+        check_meaning(url, manifest, where, training)
+        return cls(url, manifest)
+
+    def validation(self, settings: TrainSettings, level: int, training: dict[str, Any]) -> ShardDataset:
+        """As `open_validation`, in the variant of it that the settings mean."""
+        settings = with_validation_variant(settings, self.manifest, self.url, training)
+        return open_validation(self.url, settings, level, training)
+
+
 class StoredData:
     """A data set that `generate` made, with both splits.
 
@@ -64,7 +96,7 @@ class StoredData:
 
     def __init__(self, url: str, val: str | None = None) -> None:
         self.where, self.manifest = url, dict(load_dataset(url).manifest)
-        self._val = checked_validation(val, self.manifest, url)
+        self._val = None if val is None else OtherData.checked(val, self.manifest, url)
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
         """Do nothing: everything is there."""
@@ -81,13 +113,15 @@ class StoredData:
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation split."""
-        return open_validation(self._val or self.where, settings, level, self.manifest)
+        if self._val is not None:
+            return self._val.validation(settings, level, self.manifest)
+        return open_validation(self.where, settings, level, self.manifest)
 
     def with_variant(self, settings: TrainSettings) -> TrainSettings:
         """The settings with the variant to train on, where another data set is validated with."""
         if self._val is None:
             return settings
-        return with_training_variant(settings, self.manifest, self.where, load_dataset(self._val).manifest)
+        return with_training_variant(settings, self.manifest, self.where, self._val.manifest)
 
 
 class DrawnData:
@@ -111,7 +145,7 @@ class DrawnData:
         self._root = given.meshes_root(meshes)
         self._sources: Sources = open_sources(given, self._root, train_split, categories)
         self.manifest = self._sources.manifest.to_dict()
-        self._val = checked_validation(val, self.manifest, path)
+        self._val = None if val is None else OtherData.checked(val, self.manifest, path)
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
         """Make the validation set, if it is not there yet."""
@@ -144,9 +178,10 @@ class DrawnData:
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation set, in the one variant that the settings name or the manifest names first."""
-        if self._val is None:
-            settings = with_first_variant(settings, self.manifest, self.where)
-        return open_validation(self._val or str(folder / VALIDATION), settings, level, self.manifest)
+        if self._val is not None:
+            return self._val.validation(settings, level, self.manifest)
+        settings = with_first_variant(settings, self.manifest, self.where)
+        return open_validation(str(folder / VALIDATION), settings, level, self.manifest)
 
 
 class MixedData:
@@ -236,16 +271,7 @@ def open_validation(url: str, settings: TrainSettings, level: int, manifest: dic
         level: number of the level, from 0.
         manifest: manifest of what is trained on.
     """
-    settings = with_validation_variant(settings, load_dataset(url).manifest, url, manifest)
     return ShardDataset(
         url, settings.val_split, settings.up_to(level, manifest), settings.encoding,
         variant=settings.variant, targets=settings.own(level, manifest), categories=settings.categories,
         seed=settings.seed, on_error=settings.on_error, shuffle=False, uneven="exact")
-
-
-def checked_validation(val: str | None, manifest: dict[str, Any], where: str) -> str | None:
-    """The data set to validate with, if its values mean what those to train on do."""
-    if val is None:
-        return None
-    check_meaning(val, load_dataset(val).manifest, where, manifest)
-    return val

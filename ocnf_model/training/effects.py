@@ -29,9 +29,15 @@ def refuse_without_effect(settings: TrainSettings, where: object = "the settings
         _refuse(settings, _OF_A_BLEND, "there is no blend with plain fusion", "blend: true", where)
 
 
+def no_effect(name: str, reason: str, where: object, found: object, expected: object,
+              fix: str | None = None) -> OcnfError:
+    """The error for a setting that would not be looked at."""
+    return OcnfError(f"it would have no effect: {reason}", code="manifest", where=where, field=name,
+                     found=found, expected=expected, fix=fix)
+
+
 def _refuse(settings: TrainSettings, names: tuple[str, ...], reason: str, remedy: str, where: object) -> None:
     for name in names:
         found, default = getattr(settings, name), TrainSettings.model_fields[name].default
         if found != default:
-            raise OcnfError(f"it would have no effect: {reason}", code="manifest", where=where, field=name,
-                            found=found, expected=f"{default}, or {remedy}")
+            raise no_effect(name, reason, where, found, f"{default}, or {remedy}")

@@ -28,6 +28,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from torch import Tensor
+from train import endless
 
 from ocnf_data import ShardDataset
 from ocnf_data.manifest import Manifest
@@ -232,10 +233,7 @@ class Bench:
         return network
 
     def _batches(self, settings: TrainSettings, task: Task) -> Iterator[AnyBatch]:
-        training = open_data(self._data, settings).training(Path(), settings, task.level - 1)
-        for epoch in range(1_000_000):
-            training.set_epoch(epoch)
-            yield from training
+        return endless(open_data(self._data, settings).training(Path(), settings, task.level - 1))
 
     @torch.no_grad()
     def _validate(self, network: OctNetFusion, settings: TrainSettings, variant: str) -> dict[str, float]:
