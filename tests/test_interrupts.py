@@ -148,16 +148,19 @@ def test_other_commands_while_their_workers_start(number, command, data, tmp_pat
     assert lines[0].startswith("stopped; ")
 
 
-@SIGNALS
-def test_training_with_a_loader_in_another_process(number, data, tmp_path) -> None:
-    """After two epochs: their lines, then ours; nothing of leaked semaphores."""
+@pytest.mark.parametrize(("number", "to_all"), [(signal.SIGINT, True), (signal.SIGTERM, False),
+                                                (signal.SIGTERM, True)])
+def test_training_with_a_loader_in_another_process(number, to_all, data, tmp_path) -> None:
+    """After two epochs: their lines, then ours; nothing of leaked semaphores, or of loaders that are gone.
+
+    Batch systems send SIGTERM to all processes of a job.
+    """
     out = tmp_path / "run"
     command = [sys.executable, "-m", "ocnf_model.cli", "train", str(data), "--out", str(out), *TRAIN,
                "--workers", "1"]
     run = start(command, OMP_NUM_THREADS="1", NUMBA_NUM_THREADS="1")
     curves = out / "curves.csv"
-    lines = stop(run, number, lambda: curves.exists() and curves.read_text().count("\n") > 2,
-                 to_all=number == signal.SIGINT)
+    lines = stop(run, number, lambda: curves.exists() and curves.read_text().count("\n") > 2, to_all)
     text = " ".join(lines)
     assert lines[-1] == f"stopped; the same command goes on in {out}"
     assert not any(word in text for word in ("Traceback", "semaphore", "Error", "arning")), text

@@ -10,6 +10,7 @@ nothing else.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib
 import inspect
@@ -52,6 +53,8 @@ class Section(NamedTuple):
 
 def main() -> None:
     """Rewrite the pages that have changed."""
+    plain = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args()
     for name in PAGES:
         page = DOCS / name
         page.write_text(render(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Value = TypeVar("Value")
 
@@ -32,6 +32,13 @@ def _say_nothing(_: threading.ExceptHookArgs) -> None:
     """
 
 
+def _look_away(number: int, frame: FrameType | None) -> None:
+    """What becomes of the end of a child once all is to stop: batch systems stop every process of a job.
+
+    PyTorch's handler, which makes an error of it, would raise that wherever the main thread is by then.
+    """
+
+
 class _Listener:
     """What has arrived, and whether it has to wait."""
 
@@ -43,6 +50,7 @@ class _Listener:
         self.waiting = False
         self.lost = False
         self.hook_before = sys.unraisablehook
+        self.of_children: Any = None
 
     def hear(self, number: int, _: FrameType | None) -> None:
         """The handler of both signals."""
@@ -59,6 +67,7 @@ class _Listener:
         else:
             self.first, self.since = number, time.monotonic()
             threading.excepthook = _say_nothing
+            self.of_children = signal.signal(signal.SIGCHLD, _look_away)
         if self.delays:
             self.waiting = True
         else:
@@ -89,6 +98,8 @@ def listen() -> None:
     """Let SIGINT and SIGTERM raise `KeyboardInterrupt` in this process's main thread from now on."""
     if sys.unraisablehook == _listener.hear_again:  # again, where a process calls several commands
         sys.unraisablehook = _listener.hook_before
+    if _listener.of_children is not None:
+        signal.signal(signal.SIGCHLD, _listener.of_children)
     _listener.__init__()  # type: ignore[misc]
     _listener.process = os.getpid()
     sys.unraisablehook = _listener.hear_again

@@ -28,14 +28,12 @@ class Executor:
         jobs: worker processes of generation.
         console: where progress is shown.
         limit: evaluate the first so many models only; None for all.
-        up: which axis of the models points up in figures: y or z.
     """
 
     def __init__(self, layout: Layout, root: Path, device: str, jobs: int, console: Console,
-                 limit: int | None = None, up: str = "z") -> None:
+                 limit: int | None = None) -> None:
         self._layout, self._root, self._device, self._jobs = layout, root, device, jobs
         self._console, self.limit = console, limit
-        self._up = up
         self._bars = console if console.is_terminal else None
 
     def do(self, step: Step) -> None:
@@ -100,5 +98,5 @@ class Executor:
         trained = open_run(self._run(step), self._layout.budget.settings.levels)
         found = evaluate(trained.network.to(pick_device(self._device)), self._data(step),
                          resolutions=trained.resolutions, weights=self._weights(step), limit=1, n_figures=1,
-                         up=self._up, categories=[step.category], console=self._bars)
+                         up=self._layout.up, categories=[step.category], console=self._bars)
         Store(out.parent).put_bytes(out.name, next(iter(found.figures.values())))

@@ -65,7 +65,7 @@ class SampleGroup:
         views = max(spec.views for table in tables for spec in table.inputs.values())
         listed(budget, root, views)  # a scan with too few frames is refused before anything is made
         self._root, self._device = root, device
-        layout = _layout(out, budget, root)
+        layout = _layout(out, budget, root, up)
         rates = read_rates(layout, device)
         if rates is None and (measure or hours is not None):
             rates = calibrate(layout, root, device, console, tables)
@@ -74,9 +74,9 @@ class SampleGroup:
             seconds = Estimator(rates, layout, root, jobs).epoch_seconds()
             paper = [PAPER_EPOCHS[min(level, 2)] for level in range(len(seconds))]
             budget = budget.with_epochs(epochs_within(hours, seconds, rates.train_fixed, paper))
-            layout = _layout(out, budget, root)
+            layout = _layout(out, budget, root, up)
         self._layout = layout
-        self._executor = Executor(layout, root, device, jobs, console, up=up)
+        self._executor = Executor(layout, root, device, jobs, console)
         self.steps: Sequence[Step] = plan_steps(tables, layout)
         self.left: Sequence[Step] = [step for step in self.steps if not layout.is_done(step)]
         estimator = None if rates is None else Estimator(rates, layout, root, jobs)
@@ -102,11 +102,11 @@ class SampleGroup:
                                     machine(self._device))
 
 
-def _layout(out: Path, budget: Budget, root: Path) -> Layout:
+def _layout(out: Path, budget: Budget, root: Path, up: str) -> Layout:
     entries = listed(budget, root)
     sizes = {}
     for entry in entries:
         path = root / str(entry.path)
         with storage_errors(path):
             sizes[str(entry.path)] = folder_size(path) if path.is_dir() else path.stat().st_size
-    return Layout(out, budget, entries, sizes)
+    return Layout(out, budget, entries, sizes, up)

@@ -81,6 +81,11 @@ def make_tables(
         raise OcnfError("epochs and hours are two budgets for the same thing", field="--hours",
                         found=f"{hours:g} and --epochs", fix="give one of them")
     check_up(up)
+    if all(table.pipeline in _NEEDS for table in tables):
+        for option, given in (("--categories", categories), ("--stand-in", stand_ins)):
+            if given:
+                raise OcnfError("it would have no effect: the table is not made from categories of meshes",
+                                field=option, found=", ".join(given), expected=f"no {option} for {name}")
     by_root: dict[Path, list[TableSpec]] = {}
     for table in tables:
         if table.pipeline is Pipeline.COMPLETION:

@@ -7,7 +7,7 @@
     OUT/runs/NETWORK-KEY/               a training run for each network
     OUT/networks/NETWORK-KEY/           that network on the test split
     OUT/times/VARIANT-KEY.csv           seconds that encoding takes
-    OUT/figures/NETWORK-KEY/*.png       models drawn with every method
+    OUT/figures/NETWORK-KEY/*.png       models drawn with every method; KEY-y where that axis points up
     OUT/tables/NAME.md, .csv, .tex      the tables
 
 KEY is a checksum of all that the content depends on: the meshes, the resolutions, the settings. Another
@@ -94,10 +94,12 @@ class Layout:
         budget: what is spent.
         entries: the meshes that the budget takes.
         sizes: bytes of each mesh file, so that other meshes of the same names are others.
+        up: which axis of the models points up in figures: y or z.
     """
 
-    def __init__(self, out: Path, budget: Budget, entries: Sequence[Entry], sizes: Mapping[str, int]) -> None:
-        self.out, self.budget = out, budget
+    def __init__(self, out: Path, budget: Budget, entries: Sequence[Entry], sizes: Mapping[str, int],
+                 up: str = "z") -> None:
+        self.out, self.budget, self.up = out, budget, up
         self._meshes = sorted((entry.split, str(entry.path), sizes.get(str(entry.path), 0))
                               for entry in entries)
 
@@ -122,6 +124,11 @@ class Layout:
         # Those that are as usual do not count: a version with more settings finds the runs of this one.
         own = {name: value for name, value in settings.items() if usual.get(name) != value}
         return f"{network.name}-{short_key([own, self.data(network.input, spec)])}"
+
+    def drawn(self, network: NetworkSpec, spec: InputSpec) -> str:
+        """Name of the folder of a network's figures."""
+        name = self.weighed(self.run(network, spec))
+        return name if self.up == "z" else f"{name}-{self.up}"
 
     def is_done(self, step: Step) -> bool:
         """Whether what a step makes is there, whole."""
@@ -184,9 +191,9 @@ def _steps(table: TableSpec, layout: Layout) -> Iterator[Step]:
         if category in budget.categories:
             network = list(table.networks.values())[-1]  # the paper's own encoding stands last
             spec = inputs[network.input]
-            drawn = layout.weighed(layout.run(network, spec))
-            yield Step(StepKind.DRAW, f"{category} by {network.name}", f"figures/{drawn}/{category}.png",
-                       network.input, spec, network, category)
+            target = f"figures/{layout.drawn(network, spec)}/{category}.png"
+            yield Step(StepKind.DRAW, f"{category} by {network.name}", target, network.input, spec, network,
+                       category)
     yield Step(StepKind.WRITE, table.name, f"tables/{table.name}.md", table=table)
 
 

@@ -70,6 +70,14 @@ def test_what_a_weight_chosen_on_more_models_goes_into_is_made_again(budget: Bud
         assert not shared if again else shared == set(targets(TABLES, ours, kind)), kind
 
 
+def test_figures_with_another_axis_up_are_drawn_again(budget: Budget, root: Path) -> None:
+    ours, theirs = layout(budget, root), layout(budget, root)
+    theirs.up = "y"
+    for kind in StepKind:
+        shared = set(targets(TABLES, ours, kind)) & set(targets(TABLES, theirs, kind))
+        assert not shared if kind is StepKind.DRAW else shared == set(targets(TABLES, ours, kind)), kind
+
+
 def test_other_meshes_of_the_same_names_are_other_data(budget: Budget, root: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(root, tmp_path / "meshes")
     ours = targets(TABLES, layout(budget, root), "train")

@@ -61,6 +61,8 @@ def test_cosine_decay_ends_at_zero_and_halves_on_the_way() -> None:
     ("stages: [{rate: 1}]", r"stages\[0\].rate: unknown field"),
     ("resolutions: [64, 32]", "resolutions: not coarse to fine"),
     ("{levels: 2, finer: 3}", "finer: there are not as many levels; found 3, expected 0 to 2"),
+    ("{encoding: occupancy, unseen: 0.5}",
+     "unseen: this encoding does not tell what was measured; found 0.5, expected 1, or another encoding"),
     ("precision: float16", "precision: the value is not allowed; found 'float16', expected 'float32' or"),
     ("[1]", "not a mapping"),
 ])
