@@ -267,6 +267,12 @@ class TrainSettings(Strict):
             raise OcnfError("the levels do not fit the resolutions", where=where, field="levels",
                             found=self.levels, expected=f"{len(resolutions)}, for {resolutions}",
                             fix=f"pass --levels {len(resolutions)}")
+        for level, resolution in enumerate(resolutions):
+            crop = self.stage(level).crop
+            if crop is not None and crop > resolution:
+                raise OcnfError("the crop is larger than the grid", code="manifest", where=where,
+                                field=f"stages[{min(level, len(self.stages) - 1)}].crop", found=crop,
+                                expected=f"at most {resolution}, or null for the whole grid")
         target = Output(manifest["target"])
         output = self.output or target
         if output is Output.TSDF and target is Output.OCCUPANCY:

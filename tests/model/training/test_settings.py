@@ -95,6 +95,15 @@ def test_resolutions_that_cannot_be_pooled_twice_are_refused() -> None:
             TrainSettings(levels=2).resolved({"resolutions": there, "target": "tsdf"}, "v", "OUT")
 
 
+def test_a_crop_larger_than_its_levels_grid_is_refused() -> None:
+    there = {"resolutions": [64, 128], "target": "tsdf"}
+    fits = read_settings({"levels": 2, "stages": [{}, {"crop": 128}]}, "x")
+    assert fits.resolved(there, "v", "OUT").stage(1).crop == 128
+    large = read_settings({"levels": 2, "stages": [{}, {"crop": 160}]}, "x")
+    with pytest.raises(OcnfError, match=r"OUT: stages\[1\].crop: the crop is larger than the grid; found 160"):
+        large.resolved(there, "v", "OUT")
+
+
 def test_difference_names_the_field() -> None:
     ours = TrainSettings()
     assert setting_difference(ours, TrainSettings(workers=7, checkpointing=True, save_every=3)) is None
