@@ -27,7 +27,8 @@ class Summary:
     """The mean over the models of a variant, category, resolution and method.
 
     Attributes:
-        category: `all` for the mean over all models, whatever their category.
+        category: `all` for the mean over all models, whatever their category; that of a category with this
+            name is `all (category)`.
         n_models: number of models.
         mad_mm, iou, precision, recall: means of the fields of `Row` with these names.
         seconds: the median, which a first call that compiles does not move; NaN where nothing ran.
@@ -63,7 +64,8 @@ def summarise(rows: Iterable[Row]) -> list[Summary]:
     """The means, `all` first, then the categories by name; methods in the order in which they were met."""
     groups: dict[tuple[str, str, int, str], list[Row]] = {}
     for row in rows:
-        for category in (ALL, row.category):
+        own = f"{ALL} (category)" if row.category == ALL else row.category
+        for category in (ALL, own):
             groups.setdefault((row.variant, category, row.resolution, row.method), []).append(row)
     order = list(dict.fromkeys(method for *_, method in groups))
     variants = list(dict.fromkeys(variant for variant, *_ in groups))

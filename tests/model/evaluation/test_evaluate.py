@@ -113,6 +113,12 @@ def test_means_are_over_models_not_over_categories() -> None:
     assert means["chair"].seconds == 2.0  # the median
 
 
+def test_a_category_named_all_is_one_of_its_own() -> None:
+    rows = [Row("a", category, "v", 64, "Ours", 1.0, 0.5, 1, 1, 1.0, 9) for category in ("all", "lamp")]
+    found = {one.category: one.n_models for one in summarise(rows)}
+    assert found == {"all": 2, "all (category)": 1, "lamp": 1}
+
+
 def test_what_is_written(evaluation: Evaluation, tmp_path: Path) -> None:
     evaluation.write(tmp_path)
     with (tmp_path / "models.csv").open() as file:
