@@ -72,7 +72,7 @@ def _read(folder: Path, given: bool) -> Listing:
         raise OcnfError("poses and depth maps belong together by order, but differ in number", where=file,
                         found=f"{len(poses)} poses, {len(depths)} depth maps")
     one = own_intrinsics(lambda: _depth_camera(folder, whole), given)
-    cameras = [one or each for each in matrices or [None] * len(poses)]
+    cameras: list[_Camera | None] = [one or each for each in matrices] if matrices else [one] * len(poses)
     colours = _colours(folder, len(depths))
     frames = []
     for depth, pose, camera, colour in zip(depths, poses, cameras, colours, strict=True):

@@ -87,18 +87,16 @@ def _intrinsics(file: Path, camera: dict[str, Any], depth: Path, image: Path | N
     else:
         size = shown
     values = [camera.get(name) for name in ("fl_x", "fl_y", "cx", "cy")]
-    angle = camera.get("camera_angle_x")
-    by_angle = values[0] is None and isinstance(angle, int | float) and 0 < angle < math.pi
-    if not by_angle and (values[0] is None or values[2] is None or values[3] is None):
+    angle = _angle(camera.get("camera_angle_x")) if values[0] is None else None
+    if angle is None and (values[0] is None or values[2] is None or values[3] is None):
         return None, None
     if size is None:
         raise OcnfError("the intrinsics are for images of an unknown size", code="missing", where=file,
                         field=f"frames[{i}]", expected="w and h, or the images",
                         fix="add w and h, or give the intrinsics of the depth as FX,FY,CX,CY")
-    if by_angle:
-        upright = camera.get("camera_angle_y")
-        known = isinstance(upright, int | float) and 0 < upright < math.pi
-        angles = [_focal(size[1], angle), _focal(size[0], upright) if known else None,
+    if angle is not None:
+        upright = _angle(camera.get("camera_angle_y"))
+        angles = [_focal(size[1], angle), None if upright is None else _focal(size[0], upright),
                   size[1] / 2, size[0] / 2]
         values = [each if value is None else value for value, each in zip(values, angles, strict=True)]
     if values[1] is None:
@@ -112,6 +110,11 @@ def _intrinsics(file: Path, camera: dict[str, Any], depth: Path, image: Path | N
                         fix=f"correct w and h in {file.name}, or give the depth's intrinsics as FX,FY,CX,CY")
     fits = shown is not None and same_shape(size, shown)
     return resized(K, size, measured), resized(K, size, shown) if shown is not None and fits else None
+
+
+def _angle(value: Any) -> float | None:
+    """An angle in radians that a picture can take up; None of anything else."""
+    return float(value) if isinstance(value, int | float) and 0 < value < math.pi else None
 
 
 def _focal(length: int, angle: float) -> float:

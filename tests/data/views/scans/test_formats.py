@@ -388,4 +388,5 @@ def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
     folder = write("7scenes")
     for suffix in ("depth.png", "pose.txt"):
         (folder / f"frame-000001.{suffix}").rename(folder / f"frame-10.{suffix}")
-    assert read_scan(folder).names[-1] == "frame-10"
+        (folder / f"frame-000003.{suffix}").rename(folder / f"frame-9.{suffix}")
+    assert read_scan(folder).names[-2:] == ("frame-9", "frame-10")
