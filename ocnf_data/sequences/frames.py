@@ -50,10 +50,11 @@ class FrameSequence:
             OcnfError: there is no such scan, its format is not known, a file of poses cannot be read,
                 intrinsics that hold are not a pinhole's, or no frame is left (`empty`).
         """
-        listing, name = list_scan(folder, format)
+        said = said or Said()
+        listing, name = list_scan(folder, format, said.intrinsics is not None)
         usable = posed(listing, folder)
         chosen = tuple(usable.frames[i] for i in choose(len(usable.frames), frames))
-        used, said = replace(usable, frames=chosen), said or Said()
+        used = replace(usable, frames=chosen)
         if said.intrinsics is None:
             for frame in chosen:
                 if frame.K is not None:

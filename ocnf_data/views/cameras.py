@@ -125,3 +125,10 @@ def resized(K: F64, before: tuple[int, int], after: tuple[int, int]) -> F64:
     new[..., :2, :2] *= scale[:, None]
     new[..., :2, 2] = (new[..., :2, 2] + 0.5) * scale - 0.5
     return new
+
+
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether an image (H, W) can be the other one scaled, to within less than a pixel of rounding."""
+    small, large = sorted((one, other))
+    return max((a - 1) / b for a, b in zip(small, large, strict=True)) < min(
+        (a + 1) / b for a, b in zip(small, large, strict=True))

@@ -67,16 +67,18 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
     if format is None and is_kept(text):
         _refuse(said, text)
         return read_kept_views(text, frames, every)
-    listing, name = list_scan(text, format)
+    listing, name = list_scan(text, format, intrinsics is not None)
     return load(listing, text, name, frames, every, said, report)
 
 
-def list_scan(folder: str | os.PathLike[str], format: str | None = None) -> tuple[Listing, str]:
+def list_scan(folder: str | os.PathLike[str], format: str | None = None,
+              given: bool = False) -> tuple[Listing, str]:
     """What a folder says of its frames, before any image is decoded; and the name of its format.
 
     Args:
         folder: a folder of any format in SCAN_FORMATS.
         format: one of SCAN_FORMATS; None: the one that the folder's names fit.
+        given: whether intrinsics are given in place of the scan's, which may then be missing or wrong.
 
     Raises:
         OcnfError: nothing there (`missing`), no known format or several, a file of poses or intrinsics that
@@ -86,7 +88,7 @@ def list_scan(folder: str | os.PathLike[str], format: str | None = None) -> tupl
     if not path.exists():
         raise OcnfError("no such scan", code="missing", where=os.fspath(folder))
     chosen = _pick(path, format)
-    return chosen.read(path), chosen.name
+    return chosen.read(path, given), chosen.name
 
 
 def _pick(folder: Path, name: str | None) -> ScanFormat:

@@ -71,7 +71,8 @@ def image_size(file: Path) -> tuple[int, int]:
     Raises:
         OcnfError: missing, not an image of a known kind, of an impossible size.
     """
-    return _size(file, _read(file, 2**16 if file.suffix.lower() == ".npy" else _MAX_FILE))
+    begin = _read(file, 2**16)
+    return _size(file, _read(file) if begin.startswith(b"\xff\xd8") else begin)  # a JPEG has it anywhere
 
 
 def _read(file: Path, limit: int = _MAX_FILE) -> bytes:

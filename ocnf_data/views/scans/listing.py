@@ -39,6 +39,7 @@ class Axes(StrEnum):
 
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
+_Read = TypeVar("_Read")
 
 
 def convention(kind: type[_Choice], value: object, where: object, field: str) -> _Choice:
@@ -64,7 +65,7 @@ class Frame:
         where: the file that the pose is from.
         K: (3, 3) of the depth map, pixel centres on integers; None where the scan does not say.
         colour: the colour image of the same moment and pose.
-        K_colour: (3, 3) of the colour image; None: as the depth map's.
+        K_colour: (3, 3) of the colour image; None: the depth map's, scaled to the image's size.
     """
 
     name: str
@@ -106,13 +107,14 @@ class ScanFormat:
         name: the name that `--format` takes.
         holds: what a folder of it holds, for messages.
         fits: whether a folder, by the names in it, is of this format.
-        read: the folder's listing.
+        read: the folder's listing. The second argument says whether intrinsics are given from elsewhere: then
+            the scan's own may be missing or wrong.
     """
 
     name: str
     holds: str
     fits: Callable[[Path], bool]
-    read: Callable[[Path], Listing]
+    read: Callable[[Path, bool], Listing]
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,16 @@ def check_pinhole(K: F64, where: object) -> F64:
     return K
 
 
+def own_intrinsics(read: Callable[[], _Read], given: bool) -> _Read | None:
+    """What `read` gives of the scan's intrinsics; None where they are given from elsewhere and it fails."""
+    try:
+        return read()
+    except OcnfError:
+        if not given:
+            raise
+        return None
+
+
 def names_in(folder: Path) -> list[str]:
     """The names of all that lies directly in a folder, sorted; none where it is not a folder."""
     if not folder.is_dir():
@@ -179,11 +191,12 @@ def names_in(folder: Path) -> list[str]:
 def numbered(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
     """The files of a folder with one of the suffixes, by stem, in the order of the numbers in their names."""
     chosen = [Path(name) for name in names_in(folder) if Path(name).suffix.lower() in suffixes]
-    return {name.stem: folder / name for name in sorted(chosen, key=_by_number)}
+    return {name.stem: folder / name for name in sorted(chosen, key=lambda name: by_number(name.stem))}
 
 
-def _by_number(name: Path) -> tuple[list[int], str]:
-    return [int(digits) for digits in re.findall(r"\d+", name.stem)], name.stem
+def by_number(stem: str) -> tuple[list[int], str]:
+    """What names are sorted by: the numbers in them, and where these are the same, the name."""
+    return [int(digits) for digits in re.findall(r"\d+", stem)], stem
 
 
 def unmatched(depths: Iterable[str], poses: Iterable[str]) -> list[str]:

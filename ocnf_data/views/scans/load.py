@@ -6,12 +6,13 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.cameras import Views
+from ocnf_data.views.cameras import Views, resized, same_shape
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.agreement import agreement, judge
 from ocnf_data.views.scans.images import image_size, read_depth
@@ -57,8 +58,9 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     views = Views(depth, K, R, T)
     found = agreement(views, listing.axes)
     warnings = tuple(judge(found, views, where))
-    return Scan(views, tuple(frame.name for frame in chosen), listing.cube, listing.notes, _colour(chosen, K),
-                format_name, found, warnings)
+    colour, lacking = _colour(chosen, views)
+    return Scan(views, tuple(frame.name for frame in chosen), listing.cube, (*listing.notes, *lacking),
+                colour, format_name, found, warnings)
 
 
 def posed(listing: Listing, where: object) -> Listing:
@@ -127,8 +129,24 @@ def _crop(depth: F32, crop: tuple[int, int, int, int], where: object) -> F32:
     return depth
 
 
-def _colour(frames: Sequence[Frame], K: F64) -> Colour | None:
-    if not any(frame.colour for frame in frames):
-        return None
-    own = [K[i] if frame.K_colour is None else frame.K_colour for i, frame in enumerate(frames)]
-    return Colour([frame.colour for frame in frames], np.stack(own))
+def _colour(frames: Sequence[Frame], views: Views) -> tuple[Colour | None, list[str]]:
+    """The colour images, and a note where some that the scan names cannot be used: depth needs none."""
+    images: list[Path | None] = []
+    matrices, reasons = [], []
+    for frame, K in zip(frames, views.K, strict=True):
+        image, own = frame.colour, frame.K_colour
+        if image is not None:
+            try:
+                size = image_size(image)
+                if own is None and not same_shape(views.size, size):
+                    raise OcnfError("the colour image is not the depth map scaled", where=image,
+                                    found="{1}x{0}".format(*size), expected="{1}x{0}".format(*views.size))
+                own = resized(K, views.size, size) if own is None else own
+            except OcnfError as error:
+                reasons.append(str(error))
+                image = None
+        images.append(image)
+        matrices.append(K if own is None else own)
+    notes = [f"{len(reasons)} of {len(frames)} frames are without their colour ({reasons[0]})"
+             ] if reasons else []
+    return Colour(images, np.stack(matrices)) if any(images) else None, notes

@@ -4,7 +4,8 @@
     color/ rgb/ image/      *.jpg or *.png, registered to the depth; may be missing
     *.log, *traj*.txt       for each frame a line of three numbers, then 4x4, camera to world, metres
     *.json                  or Open3D's PinholeCameraTrajectory: `extrinsic`, world to camera, by columns
-    *intrinsic*.json        Open3D's PinholeCameraIntrinsic: `intrinsic_matrix` by columns, `width`, `height`
+    *intrinsic*.json        Open3D's PinholeCameraIntrinsic: `intrinsic_matrix` by columns, `width`, `height`;
+                            of several, the one that has `depth` in its name
 
 All but the images may lie in the folder itself or in `scene/`. Poses and images belong together by their
 order, as in Open3D, so there has to be one pose for each depth map.
@@ -12,6 +13,7 @@ order, as in Open3D, so there has to be one pose for each depth map.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +22,21 @@ import numpy as np
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Direction, Frame, Listing, ScanFormat, names_in, numbered
+from ocnf_data.views.scans.listing import (
+    Direction,
+    Frame,
+    Listing,
+    ScanFormat,
+    names_in,
+    numbered,
+    own_intrinsics,
+)
 from ocnf_data.views.scans.text import json_array, numbers, read_json, read_table
 
 _COLOURS = ("color", "rgb", "image")
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _TRAJECTORY = "PinholeCameraTrajectory"
+_Camera = tuple[F64, tuple[int, int]]  # K, and (H, W) of the images that it is for
 
 
 def _fits(folder: Path) -> bool:
@@ -43,7 +54,7 @@ def _jsons(folder: Path) -> list[Path]:
             if name.endswith(".json") and ("traj" in name or "intrinsic" in name)]
 
 
-def _read(folder: Path) -> Listing:
+def _read(folder: Path, given: bool) -> Listing:
     depths = list(numbered(folder / "depth", {".png"}).values())
     if not depths:
         raise OcnfError("holds no frames", code="empty", where=folder, expected="depth/*.png")
@@ -60,18 +71,13 @@ def _read(folder: Path) -> Listing:
     if len(poses) != len(depths):
         raise OcnfError("poses and depth maps belong together by order, but differ in number", where=file,
                         found=f"{len(poses)} poses, {len(depths)} depth maps")
-    one = next((_intrinsics(place, data) for place, data in whole if "intrinsic_matrix" in data), None)
-    if one is None and not matrices:
-        cameras: list[tuple[F64, tuple[int, int]] | None] = [None] * len(poses)
-    else:
-        cameras = [one or each for each in matrices] if matrices else [one] * len(poses)
+    one = own_intrinsics(lambda: _depth_camera(folder, whole), given)
+    cameras: list[_Camera | None] = [one or each for each in matrices] if matrices else [one] * len(poses)
     colours = _colours(folder, len(depths))
     frames = []
     for depth, pose, camera, colour in zip(depths, poses, cameras, colours, strict=True):
-        if camera is not None and camera[1] != (size := image_size(depth)):
-            raise OcnfError("the intrinsics are for images of another size", where=depth, found=size,
-                            expected=camera[1])
-        frames.append(Frame(depth.stem, depth, pose, file, None if camera is None else camera[0], colour))
+        K = own_intrinsics(partial(_fitting, depth, camera), given)
+        frames.append(Frame(depth.stem, depth, pose, file, K, colour))
     direction = Direction.CAMERA_TO_WORLD if logs else Direction.WORLD_TO_CAMERA
     return Listing(tuple(frames), direction=direction,
                    intrinsics="put Open3D's intrinsic .json beside the trajectory, or give them as "
@@ -102,6 +108,29 @@ def _camera_list(file: Path, data: dict[str, Any]) -> tuple[list[F64], list[tupl
     found = [camera.get("intrinsic") for camera in cameras]
     own = [_intrinsics(file, camera) for camera in found if isinstance(camera, dict)]
     return poses, own if len(own) == len(poses) else []
+
+
+def _depth_camera(folder: Path, whole: list[tuple[Path, dict[str, Any]]]) -> _Camera | None:
+    """The intrinsics that hold for all depth maps: of several files, that with `depth` in its name."""
+    found = [(file, data) for file, data in whole if "intrinsic_matrix" in data]
+    if len(found) > 1:
+        named = [each for each in found if "depth" in each[0].name.lower()]
+        if len(named) != 1:
+            raise OcnfError("the folder has several files of intrinsics", where=folder,
+                            found=", ".join(file.name for file, _ in found),
+                            expected="one, or one with `depth` in its name")
+        found = named
+    return _intrinsics(*found[0]) if found else None
+
+
+def _fitting(depth: Path, camera: _Camera | None) -> F64 | None:
+    """K of a depth map, which has the size that the intrinsics are for."""
+    if camera is None:
+        return None
+    if camera[1] != (size := image_size(depth)):
+        raise OcnfError("the intrinsics are for images of another size", where=depth, found=size,
+                        expected=camera[1])
+    return camera[0]
 
 
 def _intrinsics(file: Path, data: dict[str, Any]) -> tuple[F64, tuple[int, int]]:

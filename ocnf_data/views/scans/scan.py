@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ocnf_data.arrays import F32, F64, U8
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.cameras import Views, resized
+from ocnf_data.views.cameras import Views, resized, same_shape
 from ocnf_data.views.scans.agreement import Agreement, agreement, judge
 from ocnf_data.views.scans.images import read_colour
 from ocnf_data.views.scans.listing import Axes, Direction, check_scale, convention
@@ -78,7 +78,7 @@ class Scan:
                 `depth_scale` is needed; 0 and 65535 are no measurement.
             K: (3, 3) or (V, 3, 3) intrinsics in pixels, pixel centres on integers.
             poses: (V, 4, 4), translation in metres.
-            colour: (V, H', W', 3) uint8 red, green, blue; H' x W' is a multiple of H x W of the same view.
+            colour: (V, H', W', 3) uint8 red, green, blue: the same view in any size of the same shape.
             depth_scale: units in a metre.
             direction: `camera-to-world` or `world-to-camera`.
             axes: `opencv` (x right, y down, z forward) or `opengl` (y up, z backward) of the cameras.
@@ -138,4 +138,8 @@ def _colour(colour: npt.ArrayLike | None, views: Views) -> Colour | None:
     if images.ndim != 4 or images.shape[0] != len(views) or images.shape[3] != 3 or images.dtype != np.uint8:
         raise OcnfError("colour does not fit the depth", where="Scan.from_arrays", field="colour",
                         found=f"{images.dtype} {images.shape}", expected=f"uint8 ({len(views)}, H, W, 3)")
+    if not same_shape(views.size, (images.shape[1], images.shape[2])):
+        raise OcnfError("the colour images are not the depth maps scaled", where="Scan.from_arrays",
+                        field="colour", found=f"{images.shape[2]}x{images.shape[1]}",
+                        expected="the shape of {1}x{0}".format(*views.size))
     return Colour(list(images), resized(views.K, views.size, (images.shape[1], images.shape[2])))

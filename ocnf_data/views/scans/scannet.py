@@ -15,7 +15,15 @@ import numpy as np
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, check_pinhole, numbered, unmatched
+from ocnf_data.views.scans.listing import (
+    Frame,
+    Listing,
+    ScanFormat,
+    check_pinhole,
+    numbered,
+    own_intrinsics,
+    unmatched,
+)
 from ocnf_data.views.scans.text import read_matrix
 
 
@@ -23,7 +31,7 @@ def _fits(folder: Path) -> bool:
     return (folder / "depth").is_dir() and (folder / "intrinsic").is_dir()
 
 
-def _read(folder: Path) -> Listing:
+def _read(folder: Path, given: bool) -> Listing:
     depths, poses = numbered(folder / "depth", {".png"}), numbered(folder / "pose", {".txt"})
     if not depths:
         raise OcnfError("holds no frames", code="empty", where=folder, expected="depth/*.png")
@@ -31,8 +39,9 @@ def _read(folder: Path) -> Listing:
         raise OcnfError("has no poses", code="missing", where=folder, expected="pose/*.txt",
                         fix="extract them with SensReader's --export_poses")
     colours = numbered(folder / "color", {".jpg", ".jpeg", ".png"})
-    K = _pinhole(folder / "intrinsic" / "intrinsic_depth.txt")
-    K_colour = _pinhole(folder / "intrinsic" / "intrinsic_color.txt") if colours else None
+    inner = folder / "intrinsic"
+    K = own_intrinsics(lambda: _pinhole(inner / "intrinsic_depth.txt"), given)
+    K_colour = own_intrinsics(lambda: _pinhole(inner / "intrinsic_color.txt"), given) if colours else None
     frames = [Frame(name, depth, read_matrix(poses[name], 4, 4), poses[name], K, colours.get(name), K_colour)
               for name, depth in depths.items() if name in poses]
     return Listing(tuple(frames), notes=tuple(unmatched(depths, poses)))

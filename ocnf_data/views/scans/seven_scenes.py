@@ -3,7 +3,8 @@
     *intrinsics*.txt        3x3, pixels, for all frames
     frame-NAME.depth.png    16 bits, millimetres; 0 and 65535 are no measurement
     frame-NAME.pose.txt     4x4, camera to world, metres
-    frame-NAME.color.png    or .jpg, where there is colour: taken as registered to the depth
+    frame-NAME.color.png    or .jpg, where there is colour: taken as registered to the depth,
+                            of its size or of the same shape
 
 7-Scenes itself comes without the intrinsics file; its description gives 585, 585, 320, 240.
 """
@@ -14,7 +15,16 @@ from pathlib import Path
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, check_pinhole, names_in, unmatched
+from ocnf_data.views.scans.listing import (
+    Frame,
+    Listing,
+    ScanFormat,
+    by_number,
+    check_pinhole,
+    names_in,
+    own_intrinsics,
+    unmatched,
+)
 from ocnf_data.views.scans.text import read_matrix
 
 _DEPTH, _POSE = ".depth.png", ".pose.txt"
@@ -26,14 +36,15 @@ def _fits(folder: Path) -> bool:
                or ("intrinsics" in name and name.endswith(".txt")) for name in names_in(folder))
 
 
-def _read(folder: Path) -> Listing:
+def _read(folder: Path, given: bool) -> Listing:
     names = set(names_in(folder))
-    K = _intrinsics(folder, sorted(name for name in names if "intrinsics" in name))
+    texts = sorted(name for name in names if "intrinsics" in name)
+    K = own_intrinsics(lambda: _intrinsics(folder, texts), given)
     depths, poses = _stems(names, _DEPTH), _stems(names, _POSE)
     if not depths:
         raise OcnfError("holds no frames", code="empty", where=folder, expected=f"frame-*{_DEPTH}")
     frames = []
-    for stem in sorted(depths & poses):
+    for stem in sorted(depths & poses, key=by_number):
         colour = next((folder / (stem + suffix) for suffix in _COLOURS if stem + suffix in names), None)
         pose = folder / (stem + _POSE)
         frames.append(Frame(stem, folder / (stem + _DEPTH), read_matrix(pose, 4, 4), pose, K, colour))

@@ -3,8 +3,9 @@
     depth.txt           lines `timestamp file`: 16-bit PNG, 5000 units a metre, 0 is no measurement
     rgb.txt             the same for colour, registered to the depth; may be missing
     groundtruth.txt     lines `timestamp tx ty tz qx qy qz qw`: camera to world, metres
-    calibration.txt     `fx fy cx cy`, ETH3D's; where it is missing, the benchmark's own advice for
-                        its registered depth holds: 525 525 319.5 239.5, for 640x480
+    calibration.txt     `fx fy cx cy`, ETH3D's (more is not applied); where it is missing,
+                        the benchmark's own advice for its registered depth holds:
+                        525 525 319.5 239.5, for 640x480
 
 A line that begins with # is a comment. The streams have clocks of their own: entries are associated as the
 benchmark's `associate.py` does it, closest first, each at most once, at most 0.02 s apart.
@@ -22,9 +23,9 @@ from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, own_intrinsics
 from ocnf_data.views.scans.poses import quaternion_pose
-from ocnf_data.views.scans.text import numbers, read_matrix, read_table
+from ocnf_data.views.scans.text import numbers, read_table
 
 MAX_DIFFERENCE = 0.02
 """Seconds between two entries that belong together."""
@@ -53,7 +54,7 @@ def _fits(folder: Path) -> bool:
     return (folder / "depth.txt").is_file()
 
 
-def _read(folder: Path) -> Listing:
+def _read(folder: Path, given: bool) -> Listing:
     depth_times, depths = _images(folder, "depth.txt")
     trajectory = folder / "groundtruth.txt"
     if not trajectory.is_file():
@@ -66,7 +67,7 @@ def _read(folder: Path) -> Listing:
                         expected=f"timestamps at most {MAX_DIFFERENCE} s apart")
     colour_times, colours = _images(folder, "rgb.txt") if (folder / "rgb.txt").is_file() else ([], [])
     coloured = dict(associate([depth_times[i] for i in pairs], colour_times))
-    K, notes = _intrinsics(folder, depths[next(iter(pairs))])
+    K, notes = own_intrinsics(lambda: _intrinsics(folder, depths[next(iter(pairs))]), given) or (None, [])
     frames = []
     for at, (i, j) in enumerate(pairs.items()):
         colour = colours[coloured[at]] if at in coloured else None
@@ -101,8 +102,13 @@ def _pose_row(file: Path, line: int, words: list[str]) -> list[float]:
 def _intrinsics(folder: Path, depth: Path) -> tuple[F64 | None, list[str]]:
     file = folder / "calibration.txt"
     if file.is_file():
-        fx, fy, cx, cy = read_matrix(file, 4)
-        return pinhole(fx, fy, cx, cy), []
+        values = [value for line, words in read_table(file) for value in numbers(words, file, line)]
+        if len(values) < 4:
+            raise OcnfError("not intrinsics", where=file, found=f"{len(values)} numbers",
+                            expected="fx fy cx cy")
+        fx, fy, cx, cy = values[:4]
+        further = [f"calibration.txt has {len(values) - 4} numbers after fx fy cx cy, which are not applied"]
+        return pinhole(fx, fy, cx, cy), further if len(values) > 4 else []
     if image_size(depth) != _DEFAULT_SIZE:
         return None, []
     return pinhole(*_DEFAULT), ["the intrinsics are those that the TUM benchmark advises for its registered "

@@ -10,6 +10,7 @@ The YAML files carry `!!python/tuple`; that tag alone is accepted.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, names_in, numbered
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, names_in, numbered, own_intrinsics
 from ocnf_data.views.scans.text import json_array
 
 _SCALED = 65536  # a value of this many units is `depth_scaling` metres
@@ -28,7 +29,7 @@ def _fits(folder: Path) -> bool:
     return any(name.endswith(".pgm") for name in names_in(folder / "frames"))
 
 
-def _read(folder: Path) -> Listing:
+def _read(folder: Path, given: bool) -> Listing:
     files = numbered(folder / "poses", {".yaml"})
     if not files:
         raise OcnfError("has no poses", code="missing", where=folder, expected="poses/*.yaml")
@@ -42,8 +43,9 @@ def _read(folder: Path) -> Listing:
         if not isinstance(scaling, int | float) or not np.isfinite(scaling) or scaling <= 0:
             raise OcnfError("not a depth scaling", where=file, field="depth_scaling", found=scaling)
         scalings.add(float(scaling))
-        frames.append(Frame(depth.stem, depth, json_array(data.get("pose"), (4, 4), file, "pose"), file,
-                            json_array(data.get("intrinsics"), (3, 3), file, "intrinsics"), colour))
+        K = own_intrinsics(partial(json_array, data.get("intrinsics"), (3, 3), file, "intrinsics"), given)
+        frames.append(Frame(depth.stem, depth, json_array(data.get("pose"), (4, 4), file, "pose"), file, K,
+                            colour))
     if len(scalings) > 1:
         raise OcnfError("the frames differ in their depth scaling", where=folder, found=sorted(scalings))
     return Listing(tuple(frames), unit=scalings.pop() / _SCALED, cube=_cube(folder))

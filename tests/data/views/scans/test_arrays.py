@@ -50,6 +50,7 @@ def test_poses_that_are_not_finite_or_not_rigid_are_refused_by_name(scene, bad: 
 @pytest.mark.parametrize(("change", "message"), [
     ({"depth": np.zeros((5, 4))}, "not a stack"), ({"poses": np.eye(4)}, "poses do not fit"),
     ({"K": np.full((3, 3), np.nan)}, "not a pinhole"), ({"colour": np.zeros((5, 4, 4))}, "colour does not"),
+    ({"colour": np.zeros((5, 64, 64, 3), np.uint8)}, "colour images are not the depth maps scaled"),
     ({"names": ["a"]}, "names do not fit"), ({"depth": np.full((5, 48, 64), -1.0)}, "negative"),
     ({"depth_scale": 0}, "depth_scale: not a scale"), ({"depth_scale": np.nan}, "depth_scale: not a scale"),
     ({"depth": np.ones((5, 48, 64), np.uint16), "depth_scale": 0.0}, "depth_scale: not a scale"),

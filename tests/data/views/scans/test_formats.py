@@ -329,3 +329,64 @@ def test_progress_counts_to_the_end(write: Write) -> None:
     told: list[tuple[int, int]] = []
     read_scan(write("tum"), report=lambda done, of: told.append((done, of)))
     assert told == [(i, 5) for i in range(1, 6)]
+
+
+def test_colour_larger_than_depth_has_the_depths_intrinsics_scaled(scene, write: Write) -> None:
+    folder = write("7scenes")
+    for i in range(5):
+        large = scene.colour[i].repeat(2, axis=0).repeat(2, axis=1)
+        cv2.imwrite(str(folder / f"frame-{i:06d}.color.png"), large[:, :, ::-1])
+    cv2.imwrite(str(folder / "frame-000004.color.png"), np.zeros((60, 60, 3), np.uint8))
+    scan = read_scan(folder)
+    np.testing.assert_allclose(scan.colour.K[0], [[110, 0, 62.9], [0, 112, 47.3], [0, 0, 1]])
+    assert scan.colour.image(4) is None and "1 of 5 frames are without their colour" in scan.notes[0]
+
+
+def test_of_several_files_of_intrinsics_the_depths_holds(write: Write) -> None:
+    folder = write("open3d")
+    text = (folder / "intrinsic.json").read_text()
+    (folder / "intrinsic.json").rename(folder / "depth_intrinsic.json")
+    (folder / "color_intrinsic.json").write_text(text.replace("55.0", "90.0"))
+    assert read_scan(folder).views.K[0, 0, 0] == 55
+    (folder / "depth_intrinsic.json").rename(folder / "other_intrinsic.json")
+    with pytest.raises(OcnfError, match="several files of intrinsics"):
+        read_scan(folder)
+    assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.K[0, 0, 0] == 55
+
+
+@pytest.mark.parametrize(("change", "fault"), [
+    ({"w": None, "h": None}, "unknown size"), ({"w": 96, "h": 128}, "not the image scaled")])
+def test_a_capture_whose_intrinsics_cannot_be_scaled(write: Write, change: dict, fault: str) -> None:
+    folder = write("transforms")
+    shutil.rmtree(folder / "images")
+    _json("transforms.json", lambda d: d.update(change))(folder)
+    with pytest.raises(OcnfError, match=fault):
+        read_scan(folder)
+    assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.K[0, 0, 0] == 55
+
+
+def test_a_capture_says_its_distortion_and_keeps_its_centre(write: Write) -> None:
+    folder = write("transforms")
+    _json("transforms.json", lambda d: d.update(distortion_params=[0.3, 0], fl_x=None, fl_y=None,
+                                                camera_angle_x=1.0, camera_angle_y=0.9))(folder)
+    (folder / "images/00000.png").write_bytes(b"RIFF1234WEBPxxxx")
+    scan = read_scan(folder)
+    assert "up to 0.3" in scan.notes[0] and "without their colour" in scan.notes[1]
+    np.testing.assert_allclose(scan.views.K[0], [[32 / np.tan(0.5), 0, 31.2],
+                                                 [0, 24 / np.tan(0.45), 23.4], [0, 0, 1]])
+
+
+def test_tum_takes_what_follows_the_intrinsics_and_misses_no_image(write: Write) -> None:
+    folder = write("tum")
+    (folder / "calibration.txt").write_text("55 56 31.2 23.4 0.1 0 0 0 0")
+    next(iter((folder / "rgb").iterdir())).unlink()
+    scan = read_scan(folder)
+    assert "5 numbers after" in scan.notes[0] and "without their colour" in scan.notes[1]
+
+
+def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
+    folder = write("7scenes")
+    for suffix in ("depth.png", "pose.txt"):
+        (folder / f"frame-000001.{suffix}").rename(folder / f"frame-10.{suffix}")
+        (folder / f"frame-000003.{suffix}").rename(folder / f"frame-9.{suffix}")
+    assert read_scan(folder).names[-2:] == ("frame-9", "frame-10")
