@@ -136,10 +136,19 @@ class ExportSample:
         Args:
             default: coordinates to use where the settings name none.
             radius: radius of the surface around the cube's centre, metres.
+
+        Raises:
+            OcnfError: `empty` for the unit sphere around no surface.
         """
         chosen = self.settings.coordinates or default
-        factor = {Coordinates.METRES: 1.0, Coordinates.UNIT_CUBE: 1 / self.extent,
-                  Coordinates.UNIT_SPHERE: 1 / (_SPHERE_MARGIN * radius)}[chosen]
+        if chosen is Coordinates.UNIT_SPHERE:
+            if radius <= 0:
+                raise OcnfError("the ground truth has no surface to fit a sphere around", code="empty",
+                                where=self.key, field="coordinates", found=str(chosen),
+                                fix="export it in metres or in the unit cube")
+            factor = 1 / (_SPHERE_MARGIN * radius)
+        else:
+            factor = 1.0 if chosen is Coordinates.METRES else 1 / self.extent
         placed = self._fact("normalisation")
         return ExportFrame(factor, np.array(placed["centre"], np.float64),
                            1 / (factor * float(placed["scale"])))

@@ -48,7 +48,8 @@ def vdb_grids(sample: ExportSample) -> list[Any]:
     """
     vdb = openvdb()
     truth = sample.octree(sample.target)
-    frame = sample.frame(Coordinates.METRES, surface_radius(truth, sample.extent) if sample.is_tsdf else 1.0)
+    distance = truth if sample.is_tsdf else truth.with_data(1 - 2 * truth.data)
+    frame = sample.frame(Coordinates.METRES, surface_radius(distance, sample.extent))
     octrees = {TARGET: truth, **{name: sample.octree(member) for name, member in sample.tsdf_inputs.items()}}
     return [_grid(vdb, name, octree, sample.extent * frame.factor,
                   sample.truncation * frame.factor if name != TARGET or sample.is_tsdf else None)

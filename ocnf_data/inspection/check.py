@@ -29,6 +29,7 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
+from ocnf_data.render.pictures import signed
 from ocnf_data.sequences.known import known_surface
 from ocnf_data.shards.browse import StoredSample, stored_samples
 from ocnf_data.shards.dataset import load_dataset
@@ -133,12 +134,12 @@ def check_range(octree: GridOctree, encoding: Encoding) -> tuple[str, bool]:
     return text, ok
 
 
-def check_surface(octree: GridOctree, views: Views, level: float, extent: float) -> tuple[str, bool]:
+def check_surface(octree: GridOctree, views: Views, encoding: Encoding, extent: float) -> tuple[str, bool]:
     """Distances between the zero crossings and the points that the clean views see, in voxels."""
     from scipy.spatial import cKDTree
 
     voxel = extent / octree.shape[0]
-    vertices, _ = octree_surface(octree, extent, level=level)
+    vertices, _ = octree_surface(signed(octree, encoding), extent)
     if len(vertices) == 0:
         return "no zero crossing", False
     seen = np.concatenate(list(_seen_points(views)))
@@ -150,12 +151,14 @@ def check_surface(octree: GridOctree, views: Views, level: float, extent: float)
     return text, median < NEAR_SURFACE and share > ON_SURFACE
 
 
-def check_measured_surface(octree: GridOctree, views: Views, level: float, extent: float) -> tuple[str, bool]:
+def check_measured_surface(octree: GridOctree, views: Views, encoding: Encoding,
+                           extent: float) -> tuple[str, bool]:
     """Distances of a scan's crossings that were measured to what its frames have measured, in voxels."""
     from scipy.spatial import cKDTree
 
     voxel = extent / octree.shape[0]
-    cut = octree_surface(octree, extent, level=level) if level else known_surface(octree, extent)
+    cut = (known_surface(octree, extent) if encoding is Encoding.TSDF else
+           octree_surface(signed(octree, encoding), extent))
     if len(cut[0]) == 0:
         return "no zero crossing", False
     measured = _places(views, octree.shape[0] * _CELLS, extent)
@@ -205,7 +208,7 @@ def check_sample(sample: StoredSample, manifest: Manifest, meshes: Path | None, 
         kind = Encoding.OCCUPANCY if occupancy else Encoding.TSDF
         yield Finding(sample.key, name, "range", *check_range(target, kind))
         check = check_measured_surface if isinstance(manifest.source, SequenceSource) else check_surface
-        surface = check(target, remade.views, 0.5 if occupancy else 0.0, extent)
+        surface = check(target, remade.views, kind, extent)
         yield Finding(sample.key, name, "surface", *surface)
         for variant in manifest.inputs:
             for encoding in variant.encodings:

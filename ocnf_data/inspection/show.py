@@ -24,6 +24,7 @@ from ocnf_data.render.pictures import (
     depth_limits,
     draw_depth,
     draw_slice,
+    signed,
 )
 from ocnf_data.render.shade import best_azimuth, shade
 from ocnf_data.sequences.known import known_surface
@@ -146,7 +147,7 @@ def _surface(manifest: Manifest, truth: GridOctree) -> tuple[F64, I64]:
     """Of a scan without the walls around what no frame has seen, which would hide it."""
     extent = manifest.normalise.extent
     if manifest.target == "occupancy":
-        return octree_surface(truth, extent, level=0.5)
+        return octree_surface(signed(truth, Encoding.OCCUPANCY), extent)
     if isinstance(manifest.source, SequenceSource):
         return known_surface(truth, extent)
     return octree_surface(truth, extent)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from ocnf_data.files.validation import NotEmpty, Strict
+from ocnf_data.files.validation import NotEmpty, Strict, refused
 from ocnf_data.manifest.entries import Entry
 from ocnf_data.manifest.explicit import ListSource
 from ocnf_data.manifest.folder import FolderSource
@@ -38,6 +38,16 @@ class MixtureSource(Strict):
     precedence."""
     parts: Annotated[tuple[SourcePart, ...], NotEmpty]
     """The sources, one or more."""
+
+    @model_validator(mode="after")
+    def _one_root(self) -> MixtureSource:
+        for i, part in enumerate(self.parts):
+            root = getattr(part.source, "root", None)
+            if root is not None:
+                raise refused("the parts of a mixture have no folders of their own",
+                              at=f".parts[{i}].source.root", found=root,
+                              expected="one root of the mixture, and paths of the parts relative to it")
+        return self
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
         """The entries of each part, in order."""

@@ -35,6 +35,11 @@ def as_distance(data: F32, encoding: Encoding) -> F32:
     return data[:, 0]
 
 
+def signed(octree: GridOctree, encoding: Encoding) -> GridOctree:
+    """The octree with `as_distance` of its leaves as its one channel: negative inside, whatever it stores."""
+    return octree.with_data(np.ascontiguousarray(as_distance(octree.data, encoding)[:, None], np.float32))
+
+
 def slice_cells(
     octree: GridOctree, axis: int, index: int
 ) -> tuple[I64, I32]:

@@ -13,7 +13,7 @@ from ocnf_data.arrays import U8
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import missing_extra
 from ocnf_data.octree import GridOctree
-from ocnf_data.render.pictures import AXES, as_distance, depth_colours, slice_cells
+from ocnf_data.render.pictures import AXES, as_distance, depth_colours, signed, slice_cells
 from ocnf_data.report.blob import pack
 from ocnf_data.report.deviation import Deviation
 from ocnf_data.report.geometry import Triangles, as_bytes, as_steps, drawn_on, ordered, seen_points, simplify
@@ -164,9 +164,9 @@ def signed_surface(octree: GridOctree, encoding: Encoding, extent: float,
     from ocnf_data.octree.surface import octree_surface
     from ocnf_data.sequences.known import known_surface
 
-    signed = octree.with_data(np.ascontiguousarray(as_distance(octree.data, encoding)[:, None], np.float32))
-    return Triangles(*(octree_surface(signed, extent) if known is None else
-                       known_surface(signed, extent, known)))
+    distance = signed(octree, encoding)
+    return Triangles(*(octree_surface(distance, extent) if known is None else
+                       known_surface(distance, extent, known)))
 
 
 def as_webp(picture: U8, width: int | None = None) -> bytes:

@@ -120,6 +120,8 @@ def _checksum(manifest: Manifest, split: str, pools: tuple[Pool, ...]) -> str:
     assert manifest.synthesis is not None
     # Without defaults: a setting that a later version adds, at its default, changes nothing.
     decisive["synthesis"] = manifest.synthesis.model_dump(mode="json", exclude_defaults=True)
+    if manifest.synthesis.misaligned != (0, 0):  # poses are off by shares of the finest voxel
+        decisive["finest"] = max(manifest.resolutions)
     decisive["pools"] = [{"weight": pool.weight, "categories": list(pool.categories),
                           "items": [[item.source, item.sha256] for item in pool.items]} for pool in pools]
     return sha256_hex(canonical_json({"version": _VERSION, "split": split, **decisive}))

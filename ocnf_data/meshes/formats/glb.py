@@ -22,6 +22,10 @@ from ocnf_data.meshes.formats.polygons import check_face_count, check_indices, u
 
 _JSON_CHUNK = 0x4E4F534A
 _COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}
+# What may be required: all else might change where the triangles are.
+_HARMLESS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_dds",
+             "KHR_lights_", "EXT_lights_", "KHR_xmp")
+_INSTANCES = "EXT_mesh_gpu_instancing"
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FLOAT = 5126
@@ -108,6 +112,15 @@ def _check_claims(header: dict[str, Any], size: int, where: str) -> None:
     compressed = [name for name in sorted(_COMPRESSION) if isinstance(required, list) and name in required]
     if compressed:
         raise unreadable("compressed geometry is not supported", where, found=", ".join(compressed))
+    unknown = [name for name in required if not str(name).startswith(_HARMLESS)] if isinstance(
+        required, list) else [required]
+    if unknown:
+        raise unreadable("it needs an extension that is not supported", where,
+                         found=", ".join(map(str, unknown))[:200], expected="one exported without it")
+    if any(_INSTANCES in node["extensions"] for node in header.get("nodes", [])
+           if isinstance(node.get("extensions"), dict)):
+        raise unreadable("instances are not supported", where, found=_INSTANCES,
+                         expected="one exported with a node for each")
 
 
 def _scene_parts(header: dict[str, Any], size: int, where: str, max_faces: int) -> list[_Part]:

@@ -40,6 +40,9 @@ def parse_off(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
     if counts.size < n_vertices + n_faces:
         raise unreadable("the file ends early", where, found=f"{counts.size} lines",
                          expected=f"{n_vertices} vertices and {n_faces} faces")
+    if counts.size > n_vertices + n_faces:
+        raise unreadable("the file goes on behind the faces that the header announces", where,
+                         found=f"{counts.size} lines", expected=f"{n_vertices} vertices and {n_faces} faces")
     first = np.cumsum(counts) - counts
     vertex, face = slice(0, n_vertices), slice(n_vertices, n_vertices + n_faces)
     if (counts[vertex] < 3).any():
@@ -48,6 +51,8 @@ def parse_off(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
     n_corners = values[first[face]]
     if not ((n_corners >= 0) & (n_corners < counts[face])).all():
         raise unreadable("a face lists fewer corners than it announces", where)
+    if (n_corners != np.floor(n_corners)).any():
+        raise unreadable("a face's number of corners is no whole number", where)
     n_corners = n_corners.astype(np.int64)
     check_face_count(int(np.maximum(n_corners - 2, 0).sum()), max_faces, where)
     return vertices, check_indices(fan(values, first[face] + 1, n_corners), n_vertices, where)

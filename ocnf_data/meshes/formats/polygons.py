@@ -11,7 +11,7 @@ from numba import njit
 from ocnf_data.arrays import I32, I64, U8
 from ocnf_data.errors import OcnfError
 
-_COMMENT = re.compile(rb"#[^\n]*")
+_COMMENT = re.compile(rb"(?<![^\s])#[^\n]*")  # not within a word: `1.#INF` is a number that is not finite
 _NEWLINE = ord("\n")
 
 

@@ -259,6 +259,22 @@ def test_occupancy_is_a_fog_volume(write_set, tmp_path: Path, known: SimpleNames
         assert "occupancy" in str(report.failures[0][1])
 
 
+@pytest.mark.parametrize("target", ["tsdf", "occupancy"])
+def test_a_grid_in_the_unit_sphere_is_fitted_to_the_surface(write_set, tmp_path: Path, known: SimpleNamespace,
+                                                            fake_openvdb: list[FakeGrid], target: str) -> None:
+    """And a sample without one is a failure of its own, in the unit sphere alone."""
+    samples = [known.sample(key, "box", distance, "train", (32,), target=target) for key, distance in
+               (("box_1", known.box), ("none_1", lambda points: np.full(points.shape[:-1], 1.0)))]
+    store = write_set({"train": [samples]}, tmp_path / "set")
+    report = export_dataset(store.url, tmp_path / "out", "vdb", coordinates="unit-sphere")
+    assert [(key, error.code) for key, error in report.failures] == [("none_1", "empty")]
+    grid = fake_openvdb[0]
+    inside = np.argwhere(grid.array < 0 if target == "tsdf" else grid.array > 0.5)
+    places = np.concatenate([inside, np.ones((len(inside), 1))], axis=1) @ grid.transform
+    assert np.linalg.norm(places[:, :3], axis=1).max() == pytest.approx(1 / 1.03, abs=0.08)
+    assert export_dataset(store.url, tmp_path / "metres", "vdb").written == 2
+
+
 def test_without_openvdb_the_error_says_how_to_get_it(shapes: Store, tmp_path: Path,
                                                       monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("openvdb", "pyopenvdb"):

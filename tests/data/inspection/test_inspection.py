@@ -13,6 +13,7 @@ from rich.console import Console
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.inspection import show
+from ocnf_data.inspection.check import check_sample
 from ocnf_data.inspection.choose import complete_key, pick, sample_keys
 from ocnf_data.inspection.show import draw_sample
 from ocnf_data.inspection.stats import collect, print_table
@@ -134,3 +135,20 @@ def test_the_fingerprint_is_read_as_sentences() -> None:
     assert fingerprint_lines("f00d") == ["fingerprint f00d"]
     assert fingerprint_lines({"cpu": "A", "libraries": {"numpy": "2.0", "numba": "1"}}) == [
         "made with cpu: A", "made with libraries: numpy 2.0, numba 1"]
+
+
+def test_the_ground_truth_of_an_occupancy_set_is_the_right_way_out(tmp_path: Path) -> None:
+    """Its surface faces outwards and has no wall around the cube, and the check of it passes."""
+    manifest = Manifest.from_dict({
+        "name": "own", "source": {"kind": "shapes", "categories": ["mug"], "counts": {"train": 1}},
+        "camera": {"rig": "fibonacci8", "width": 80, "height": 60, "fx": 44, "fy": 44, "cx": 40, "cy": 30},
+        "resolutions": [32], "target": "occupancy",
+        "inputs": [{"name": "v2", "views": 2, "encodings": ["tsdf"]}]})
+    assert generate(manifest, tmp_path / "OUT", progress=False).samples == 1
+    [sample] = pick(str(tmp_path / "OUT"), ["mug"])
+    vertices, faces = show._surface(manifest, sample.octree("target-32.oct"))
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    assert 0 < (np.cross(a, b) * c).sum() / 6 < 3.0**3 / 2
+    assert np.abs(vertices).max() < 1.5
+    found = [one for one in check_sample(sample, manifest, None, 64, 0) if one.check == "surface"]
+    assert found and all(one.ok for one in found), found

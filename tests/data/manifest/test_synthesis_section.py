@@ -136,6 +136,8 @@ def test_the_same_file_in_two_parts_is_one_item(meshes: Path) -> None:
     ([], r"source\.parts: the list is empty"),
     ([{"weight": 0, "source": SHAPES}], r"source\.parts\[0\]\.weight"),
     ([{"source": {"kind": "mixture", "parts": []}}], r"source\.parts\[0\]\.source\.kind.*'mixture'"),
+    ([{"source": {"kind": "folder", "root": "there", "shares": {"train": 1.0}}}],
+     r"source\.parts\[0\]\.source\.root.*'there'"),
     ([{"source": {**SHAPES, "categories": ["spoon"]}}], r"source\.parts\[0\]\.source\.categories.*'spoon'"),
 ])
 def test_a_bad_mixture_is_refused(parts: list[Any], message: str) -> None:

@@ -67,6 +67,10 @@ def code_of(path: Path, **limits) -> str:
     ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n", "degenerate"),
     ("a.off", "OFF\n3 1 0\n1 1 1\n1 1 1\n1 1 1\n3 0 1 2\n", "degenerate"),
     ("a.off", "OFF\n3 1 0\n-1e308 0 0\n1e308 0 0\n0 1e308 0\n3 0 1 2\n", "degenerate"),
+    ("a.off", "OFF\n3 1 0\n" + TRIANGLE.replace("1 0 0", "1 0 1.#QNAN") + "3 0 1 2\n", "unreadable"),
+    ("a.obj", "v 0 0 0\nv 1 0 1.#INF\nv 0 1 0\nf 1 2 3\n", "unreadable"),
+    ("a.off", "OFF\n3 1 0\n" + TRIANGLE + "3.5 0 1 2 2\n", "unreadable"),
+    ("a.off", "OFF\n3 1 0\n" + TRIANGLE + "3 0 1 2\n3 0 2 1\n", "unreadable"),
     ("a.off", "OFF\n0 0 0\n", "empty"),
     ("a.off", "OFF\n3 0 0\n" + TRIANGLE, "empty"),
     ("a.off", "", "empty"),
@@ -132,6 +136,17 @@ def test_absurd_glb(tmp_path, tetra, change, code):
     with pytest.raises(OcnfError) as caught:
         read_mesh(path)
     assert caught.value.code == code
+
+
+@pytest.mark.parametrize("change", [
+    {"extensionsRequired": ["EXT_mesh_gpu_instancing"]}, {"extensionsRequired": ["KHR_other_geometry"]},
+    {"nodes": [{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}]}])
+def test_extensions_that_would_change_the_triangles(tmp_path, tetra, change):
+    path = tmp_path / "a.glb"
+    path.write_bytes(tetra.glb(tetra.header() | {"extensionsRequired": ["KHR_texture_basisu"]}))
+    assert len(read_mesh(path).faces) == 4
+    path.write_bytes(tetra.glb(tetra.header() | change))
+    assert code_of(path) == "unreadable"
 
 
 def test_many_accessors_of_the_same_bytes(tmp_path, tetra):

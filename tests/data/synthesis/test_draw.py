@@ -124,4 +124,7 @@ def test_the_order_in_which_a_manifest_lists_names_does_not_matter(small):
 def test_the_checksum_holds_what_samples_depend_on(small, changes, same):
     assert (open_sources(small(**changes), None, "train").checksum
             == open_sources(small(), None, "train").checksum) is same
+    off = [open_sources(small({"misaligned": share}, resolutions=[16, finest]), None, "train").checksum
+           for share in ([0, 0], [0, 1]) for finest in (32, 64)]
+    assert off[0] == off[1] and len(set(off)) == 3  # poses are off by shares of the finest voxel
     assert open_sources(small(), None, "val").checksum != open_sources(small(), None, "train").checksum
