@@ -260,8 +260,8 @@ def test_occupancy_is_a_fog_volume(write_set, tmp_path: Path, known: SimpleNames
 
 
 @pytest.mark.parametrize("target", ["tsdf", "occupancy"])
-def test_a_grid_in_the_unit_sphere_is_fitted_to_the_surface(write_set, tmp_path: Path, known: SimpleNamespace,
-                                                            fake_openvdb: list[FakeGrid], target: str) -> None:
+def test_a_grid_in_the_unit_sphere_is_fitted_to_the_surface(
+        write_set, tmp_path: Path, known: SimpleNamespace, fake_openvdb: list[FakeGrid], target: str) -> None:
     """And a sample without one is a failure of its own, in the unit sphere alone."""
     samples = [known.sample(key, "box", distance, "train", (32,), target=target) for key, distance in
                (("box_1", known.box), ("none_1", lambda points: np.full(points.shape[:-1], 1.0)))]
