@@ -37,7 +37,7 @@ def surface_meshes(sample: ExportSample) -> dict[str, tuple[F64, I64]]:
 def mesh_files(sample: ExportSample) -> dict[str, bytes]:
     """The files of a sample: `KEY.VARIANT.ply` for each TSDF input, and `KEY.ply`."""
     meshes = surface_meshes(sample)
-    frame = sample.frame(Coordinates.METRES, float(np.linalg.norm(meshes[TARGET][0], axis=1).max()))
+    frame = sample.frame(Coordinates.METRES, lambda: float(np.linalg.norm(meshes[TARGET][0], axis=1).max()))
     stem = f"{sample.stored.split}/{sample.key}"
     return {f"{stem}.ply" if name == TARGET else f"{stem}.{name}.ply":
             WRITERS[".ply"](vertices * frame.factor, faces) for name, (vertices, faces) in meshes.items()}

@@ -134,8 +134,8 @@ def points_files(sample: ExportSample) -> dict[str, bytes]:
     surface = surface_points(truth, n, sample.random("surface"), extent)
     where, inside = occupancy_points(truth, n, sample.random("occupancy"), extent)
     pos, neg = sdf_samples(truth, n, sample.random("distance"), extent, sample.truncation)
-    cube = sample.frame(Coordinates.UNIT_CUBE, radius)
-    ball = sample.frame(Coordinates.UNIT_SPHERE, radius)
+    cube = sample.frame(Coordinates.UNIT_CUBE, lambda: radius)
+    ball = sample.frame(Coordinates.UNIT_SPHERE, lambda: radius)
     folder = f"occupancy_networks/{sample.category}/{sample.key}"
     return {
         f"{folder}/pointcloud.npz": npz_bytes({

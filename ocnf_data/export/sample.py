@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -130,23 +131,25 @@ class ExportSample:
                             fix="export it as dense or vdb, or generate with `target: tsdf`")
         return self.octree(self.target)
 
-    def frame(self, default: Coordinates, radius: float) -> ExportFrame:
+    def frame(self, default: Coordinates, radius: Callable[[], float]) -> ExportFrame:
         """The frame that the settings ask for, or the default.
 
         Args:
             default: coordinates to use where the settings name none.
-            radius: radius of the surface around the cube's centre, metres.
+            radius: gives the radius of the surface around the cube's centre, metres; called for the unit
+                sphere alone.
 
         Raises:
             OcnfError: `empty` for the unit sphere around no surface.
         """
         chosen = self.settings.coordinates or default
         if chosen is Coordinates.UNIT_SPHERE:
-            if radius <= 0:
+            radius_m = radius()
+            if radius_m <= 0:
                 raise OcnfError("the ground truth has no surface to fit a sphere around", code="empty",
                                 where=self.key, field="coordinates", found=str(chosen),
                                 fix="export it in metres or in the unit cube")
-            factor = 1 / (_SPHERE_MARGIN * radius)
+            factor = 1 / (_SPHERE_MARGIN * radius_m)
         else:
             factor = 1.0 if chosen is Coordinates.METRES else 1 / self.extent
         placed = self._fact("normalisation")

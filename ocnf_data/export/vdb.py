@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def vdb_grids(sample: ExportSample) -> list[Any]:
     vdb = openvdb()
     truth = sample.octree(sample.target)
     distance = truth if sample.is_tsdf else truth.with_data(1 - 2 * truth.data)
-    frame = sample.frame(Coordinates.METRES, surface_radius(distance, sample.extent))
+    frame = sample.frame(Coordinates.METRES, partial(surface_radius, distance, sample.extent))
     octrees = {TARGET: truth, **{name: sample.octree(member) for name, member in sample.tsdf_inputs.items()}}
     return [_grid(vdb, name, octree, sample.extent * frame.factor,
                   sample.truncation * frame.factor if name != TARGET or sample.is_tsdf else None)

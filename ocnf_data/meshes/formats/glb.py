@@ -104,21 +104,20 @@ def _check_claims(header: dict[str, Any], size: int, where: str) -> None:
     if total > _MAX_EXPANSION * size:
         raise unreadable("the accessors claim more than the file holds", where,
                          found=f"{total} bytes in a file of {size}")
-    if len(_objects(header, "nodes", where)) > _MAX_NODES:
+    nodes = _objects(header, "nodes", where)
+    if len(nodes) > _MAX_NODES:
         raise OcnfError("too many nodes", code="too_large", where=where, expected=f"at most {_MAX_NODES}")
     if any("uri" in buffer for buffer in _objects(header, "buffers", where)):
         raise unreadable("its data lies outside the file", where, expected="one binary chunk")
-    required = header.get("extensionsRequired", [])
-    compressed = [name for name in sorted(_COMPRESSION) if isinstance(required, list) and name in required]
+    required = _list(header, "extensionsRequired", where)
+    compressed = [name for name in sorted(_COMPRESSION) if name in required]
     if compressed:
         raise unreadable("compressed geometry is not supported", where, found=", ".join(compressed))
-    unknown = [name for name in required if not str(name).startswith(_HARMLESS)] if isinstance(
-        required, list) else [required]
+    unknown = [name for name in required if not str(name).startswith(_HARMLESS)]
     if unknown:
         raise unreadable("it needs an extension that is not supported", where,
                          found=", ".join(map(str, unknown))[:200], expected="one exported without it")
-    if any(_INSTANCES in node["extensions"] for node in header.get("nodes", [])
-           if isinstance(node.get("extensions"), dict)):
+    if any(_INSTANCES in node["extensions"] for node in nodes if isinstance(node.get("extensions"), dict)):
         raise unreadable("instances are not supported", where, found=_INSTANCES,
                          expected="one exported with a node for each")
 

@@ -72,7 +72,12 @@ def image_size(file: Path) -> tuple[int, int]:
         OcnfError: missing, not an image of a known kind, of an impossible size.
     """
     begin = _read(file, 2**16)
-    return _size(file, _read(file) if begin.startswith(b"\xff\xd8") else begin)  # a JPEG has it anywhere
+    try:
+        return _size(file, begin)
+    except OcnfError:
+        if len(begin) < 2**16 or not begin.startswith(b"\xff\xd8"):
+            raise
+    return _size(file, _read(file))  # a JPEG may have long profiles before it
 
 
 def _read(file: Path, limit: int = _MAX_FILE) -> bytes:

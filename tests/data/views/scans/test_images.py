@@ -46,3 +46,12 @@ def test_an_orientation_turns_no_pixel(tmp_path: Path, suffix: str, orientation:
         depth = np.arange(24 * 40, dtype=np.uint16).reshape(24, 40)
         file.write_bytes(encoded(suffix, depth, orientation))
         np.testing.assert_array_equal(read_depth(file), depth)
+
+
+def test_the_size_of_a_jpeg_behind_long_profiles(tmp_path: Path) -> None:
+    file = tmp_path / "a.jpg"
+    cv2.imwrite(str(file), np.zeros((24, 40, 3), np.uint8))
+    data = file.read_bytes()
+    profile = b"\xff\xe2" + (60_000).to_bytes(2, "big") + bytes(59_998)
+    file.write_bytes(data[:2] + 2 * profile + data[2:])
+    assert image_size(file) == (24, 40)
