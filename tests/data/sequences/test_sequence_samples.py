@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ocnf_data import GridOctree, ShardDataset, fuse_tsdf, generate, load_manifest
+from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.plan import make_plan
 from ocnf_data.generation.remake import remake
@@ -67,11 +68,11 @@ def test_a_surface_that_no_frame_has_measured_is_found_out(made: Path, scans: Pa
     sample = samples(made)["long-test-0000"]
     views = remake(sequence_manifest(), sample.facts, scans).views
     truth = sample.octree("target-32.oct")
-    assert check_measured_surface(truth, views, 0.0, 3.0)[1]
+    assert check_measured_surface(truth, views, Encoding.TSDF, 3.0)[1]
     moved = GridOctree.from_dense(np.roll(truth.to_dense(), (2, 2, 2), axis=(1, 2, 3)), 0.0)
-    assert not check_measured_surface(moved, views, 0.0, 3.0)[1]
+    assert not check_measured_surface(moved, views, Encoding.TSDF, 3.0)[1]
     free = GridOctree.from_dense(np.ones((1, 32, 32, 32), np.float32), 0.0)
-    assert check_measured_surface(free, views, 0.0, 3.0) == ("no zero crossing", False)
+    assert check_measured_surface(free, views, Encoding.TSDF, 3.0) == ("no zero crossing", False)
 
 
 def test_the_reference_is_the_analytic_scene(made: Path) -> None:
