@@ -51,7 +51,7 @@ def test_better_than_both_baselines_on_shapes_it_never_saw(tmp_path: Path) -> No
     data = tmp_path / "set"
     generate(Manifest.from_dict({
         "schema": 1, "name": "unseen", "seed": 77, "resolutions": [64, 128],
-        "source": {"kind": "shapes", "categories": ["chair", "guitar", "table"], "counts": {"test": 3}},
+        "source": {"kind": "shapes", "categories": ["chair", "guitar"], "counts": {"test": 2}},
         "inputs": [{"name": "v4_n02", "views": 4, "sigma": 0.02, "encodings": ["histogram", "tsdf"]}],
     }), data, jobs=1, progress=False)
     found = run_evaluate("pretrained", str(data), n_figures=0)

@@ -98,7 +98,7 @@ def test_the_f_score_is_that_of_dense_points_of_both_surfaces(tiny) -> None:
 
     def within(ones: np.ndarray, others: np.ndarray) -> float:
         areas = np.linalg.norm(np.cross(ones[:, 1] - ones[:, 0], ones[:, 2] - ones[:, 0]), axis=1)
-        points = ones[rng.choice(len(ones), 1500, p=areas / areas.sum())].mean(axis=1)
+        points = ones[rng.choice(len(ones), 800, p=areas / areas.sum())].mean(axis=1)
         sides = (others + np.roll(others, 1, axis=1)) / 2
         there = np.concatenate([others.reshape(-1, 3), sides.reshape(-1, 3), others.mean(axis=1)])
         return np.mean([(((there - point) ** 2).sum(axis=1) <= 1).any() for point in points])
