@@ -27,6 +27,11 @@ class Normalise(Strict):
         """Half the diagonal of the largest bounding box, metres: no vertex is farther from the origin."""
         return (1 - self.padding) * self.extent * float(np.sqrt(3)) / 2
 
+    @property
+    def near(self) -> float:
+        """What is no farther from a camera is not drawn, metres: 1 mm, less for a cube under a metre."""
+        return 1e-3 * min(1.0, self.extent)
+
 
 class Camera(Strict):
     """The virtual cameras: `rig` names them, the rest is one pinhole for all of them (pixels).

@@ -23,7 +23,7 @@ __all__ = ["RENDERERS", "render_depth"]
 Renderer = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
 
 _MAX_SIDE = 16384
-_MIN_NEAR = 1e-6
+_MIN_NEAR = 1e-30  # inverse depth is a float32
 
 
 def _raster(*args: Any) -> F32:
@@ -64,7 +64,8 @@ def render_depth(
         T: (V, 3) metres, world to camera.
         size: (H, W) of the images; note the order.
         backend: `raster` or `pyrender`.
-        near: metres; the part of a face at z <= near is cut off.
+        near: metres; the part of a face at z <= near is cut off. Things of millimetres need less than the
+            default.
 
     Raises:
         OcnfError: arguments that do not fit together; with `pyrender`, no working OpenGL.
