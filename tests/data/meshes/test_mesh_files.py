@@ -115,6 +115,32 @@ def test_glb_with_transforms(tmp_path, valid):
     np.testing.assert_array_equal(mesh.faces, TETRA_F)
 
 
+@pytest.mark.parametrize(("mode", "faces"), [
+    (5, [[0, 1, 2], [3, 2, 1], [2, 3, 4], [5, 4, 3]]),
+    (6, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]),
+])
+@pytest.mark.parametrize("order", [None, [4, 2, 5, 0, 3, 1], [0, 1]])
+def test_glb_strips_and_fans(tmp_path, tetra, mode, faces, order):
+    """Triangle strips and fans, with indices and without; two corners make no triangle."""
+    points = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 1], [1, 2, 0], [0, 2, 1], [-1, 1, 0]], "<f4")
+    used = np.arange(6) if order is None else np.array(order)
+    blob = points.tobytes() + used.astype("<u2").tobytes()
+    header = tetra.header()
+    header["buffers"][0]["byteLength"] = len(blob)
+    header["bufferViews"][0]["byteLength"] = points.nbytes
+    header["bufferViews"][1].update(byteOffset=points.nbytes, byteLength=2 * len(used))
+    header["accessors"][0]["count"], header["accessors"][1]["count"] = 6, len(used)
+    primitive = {"attributes": {"POSITION": 0}, "mode": mode}
+    header["meshes"][0]["primitives"] = [primitive if order is None else {**primitive, "indices": 1}]
+    if len(used) < 3:
+        with pytest.raises(OcnfError, match="has no faces"):
+            read(tmp_path, "x.glb", tetra.glb(header, blob))
+        return
+    mesh = read(tmp_path, "x.glb", tetra.glb(header, blob))
+    np.testing.assert_array_equal(mesh.vertices, 2.0 * points + [1, 2, 3])
+    np.testing.assert_array_equal(mesh.faces, used[faces])
+
+
 @pytest.mark.parametrize(("kind", "dtype", "one"), [(5120, "<i1", 127), (5121, "<u1", 255),
                                                     (5122, "<i2", 32767), (5123, "<u2", 65535)])
 @pytest.mark.parametrize("normalised", [True, False])
