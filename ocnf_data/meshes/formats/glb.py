@@ -174,12 +174,15 @@ def _n_faces(primitive: _Primitive, accessors: list[dict[str, Any]]) -> int:
 
 
 def _walk(header: dict[str, Any], where: str) -> Iterator[tuple[Any, F64]]:
-    """(mesh, matrix to the world) of the nodes of the scene that have one."""
+    """(mesh, matrix to the world) of the nodes of the scene that have one; without scenes, of all nodes."""
     nodes, scenes = _objects(header, "nodes", where), _objects(header, "scenes", where)
-    if not scenes:
-        return
-    scene = scenes[_index(header.get("scene", 0), scenes, "the scene", where)]
-    queue = [(node, np.eye(4)) for node in _list(scene, "nodes", where)]
+    if scenes:
+        roots = _list(scenes[_index(header.get("scene", 0), scenes, "the scene", where)], "nodes", where)
+    else:
+        below = {_index(child, nodes, "a node", where)
+                 for node in nodes for child in _list(node, "children", where)}
+        roots = [number for number in range(len(nodes)) if number not in below]
+    queue = [(node, np.eye(4)) for node in roots]
     seen = set()
     while queue:
         number, above = queue.pop()

@@ -141,6 +141,17 @@ def test_glb_strips_and_fans(tmp_path, tetra, mode, faces, order):
     np.testing.assert_array_equal(mesh.faces, used[faces])
 
 
+@pytest.mark.parametrize("scenes", [{}, {"scenes": []}, {"scenes": [{"nodes": [2]}]}])
+def test_glb_without_a_scene(tmp_path, tetra, scenes):
+    """Where none is there, all nodes that have no parent are the scene; else the first one is."""
+    header = tetra.header()
+    del header["scene"], header["scenes"]
+    header["nodes"].append({"mesh": 0})
+    mesh = read(tmp_path, "x.glb", tetra.glb({**header, **scenes}))
+    placed = [TETRA_V] if scenes.get("scenes") else [TETRA_V, 2 * TETRA_V + [1, 2, 3]]
+    np.testing.assert_allclose(mesh.vertices, np.concatenate(placed))
+
+
 @pytest.mark.parametrize(("kind", "dtype", "one"), [(5120, "<i1", 127), (5121, "<u1", 255),
                                                     (5122, "<i2", 32767), (5123, "<u2", 65535)])
 @pytest.mark.parametrize("normalised", [True, False])
