@@ -109,6 +109,18 @@ def test_stl_both_ways(tmp_path):
         assert mesh.stats["components"] == 1
 
 
+@pytest.mark.parametrize("begin", [b"made by hand", b"solid liar"])
+@pytest.mark.parametrize("after", [b"\n", b"\0\0", b"COLOR=" + 60 * b"x", 99 * b"\0"], ids=range(4))
+def test_stl_with_more_behind_its_triangles(tmp_path, begin, after):
+    rows = b"".join(struct.pack("<12fH", 0, 0, 0, *c.ravel(), 0) for c in TETRA_V[TETRA_F])
+    data = begin.ljust(80) + struct.pack("<I", 4) + rows
+    mesh = read(tmp_path, "a.stl", data + after)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], TETRA_V[TETRA_F])
+    with pytest.raises(OcnfError) as caught:
+        read(tmp_path, "short.stl", data[:-1])
+    assert caught.value.code == ("empty" if begin.startswith(b"solid") else "unreadable")
+
+
 def test_glb_with_transforms(tmp_path, valid):
     mesh = read(tmp_path, "x.glb", valid[".glb"])
     np.testing.assert_allclose(mesh.vertices, 2 * TETRA_V + [1, 2, 3])
