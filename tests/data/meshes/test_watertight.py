@@ -100,6 +100,27 @@ def test_a_folder_with_a_bad_file(tmp_path, jobs):
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == names
 
 
+def test_neither_hidden_files_nor_its_own_output_are_sources(tmp_path):
+    part = box(1, 2, 3)
+    for name in ("a.off", ".a.off", "._b.off", ".trash/c.off"):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(WRITERS[".off"](part.vertices, part.faces))
+    (tmp_path / "out").mkdir()
+    for out in (tmp_path / "out", tmp_path / "out", tmp_path / "out" / ".." / "out"):
+        report = watertight_path(tmp_path, out, 16, suffix=".off")
+        assert [p.relative_to(out).as_posix() for p in report.written] == ["a.off"]
+        assert report.failures == []
+    with pytest.raises(OcnfError, match="is the folder of the meshes"):
+        watertight_path(tmp_path, tmp_path / "out" / "..", 16)
+    report = watertight_path(tmp_path / "out", tmp_path, 16)
+    assert report.written == [tmp_path / "a.ply"]  # the folder above may be the output
+    (tmp_path / "a.off").unlink()
+    (tmp_path / "a.ply").unlink()
+    with pytest.raises(OcnfError, match="holds no mesh"):
+        watertight_path(tmp_path, tmp_path / "out", 16)
+
+
 def test_what_cannot_be_done_is_said(tmp_path):
     part = box(1, 2, 3)
     source = tmp_path / "in.ply"
