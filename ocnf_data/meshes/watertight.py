@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import numpy.typing as npt
 
 from ocnf_data.arrays import F64, I64
@@ -26,7 +25,7 @@ from ocnf_data.meshes.normalise import fit_cube
 from ocnf_data.meshes.read import read_mesh
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.octree.surface import octree_surface
-from ocnf_data.render import render_depth
+from ocnf_data.render import checked_mesh, render_depth
 from ocnf_data.views import rigs
 from ocnf_data.views.cameras import Views
 
@@ -50,10 +49,13 @@ def make_watertight(vertices: npt.ArrayLike, faces: npt.ArrayLike, resolution: i
         vertices (N, 3) and faces (M, 3): every edge belongs to two faces, which look outwards.
 
     Raises:
-        OcnfError: `degenerate` for a mesh without extent, `empty` where nothing is thick enough to be solid.
+        OcnfError: arrays that are not those of a mesh, `degenerate` for one without extent, `empty` for one
+            without faces and where nothing is thick enough to be solid.
     """
-    points = np.asarray(vertices, dtype=np.float64)
-    triangles = np.asarray(faces, dtype=np.int64)
+    points, triangles = checked_mesh(vertices, faces, "make_watertight")
+    if len(triangles) == 0:
+        raise OcnfError("has no faces", code="empty", where="make_watertight",
+                        found=f"{len(points)} vertices")
     cube = fit_cube(points, triangles, _EXTENT)
     zoom = -(-resolution // 256)  # finer voxels need finer pixels
     size = (zoom * _HEIGHT, zoom * _WIDTH)
