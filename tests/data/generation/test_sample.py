@@ -157,9 +157,11 @@ def test_a_tiny_cube_is_seen_as_a_large_one(meshes, define, extent, rig) -> None
 def test_a_mesh_that_no_camera_sees(meshes, define, tmp_path) -> None:
     """A camera that looks past the mesh."""
     root = meshes("a")
-    camera = {"rig": "fibonacci8", "width": 8, "height": 8, "fx": 2800, "fy": 2800, "cx": -9000, "cy": 0}
+    manifest = define()
+    past = manifest.camera.model_copy(update={"cx": -9000.0})  # which no manifest of a file's may have
+    item = make_plan(manifest, root).items[0]
     with pytest.raises(OcnfError) as caught:
-        first(define(camera=camera), root)
+        make_sample(manifest.model_copy(update={"camera": past}), item, root)
     assert caught.value.code == "invisible"
 
 
