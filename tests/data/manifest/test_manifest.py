@@ -249,6 +249,10 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
      ["source.items.train[1].key", "listed twice"]),
     ("key", {"source": {"kind": "list", "items": {"train": [{"path": "a", "key": "chair.v2"}]}}},
      ["source.items.train[0].key", "found 'chair.v2'"]),
+    *((f"category {name!r}", {"source": {"kind": "list", "items": {"val": [
+        "a.off", {"path": "b.off", "category": name}]}}},
+       ["demo.yaml: source.items.val[1].category: not a folder's name", f"found {name!r}"])
+      for name in ("../../../evil", "a/b", "/", "a\\b", "..", ".", "a\0")),
     ("an empty list", {"source": {"kind": "list", "items": {}}}, ["source.items", "empty"]),
 ]
 
