@@ -16,6 +16,7 @@ from typing import NamedTuple, cast
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.export.dense import dense_files
+from ocnf_data.export.lists import write_lists
 from ocnf_data.export.mesh import mesh_files
 from ocnf_data.export.points import points_files
 from ocnf_data.export.sample import ExportSample
@@ -164,7 +165,7 @@ def export_dataset(
         if not (begun or report.written or report.kept):
             target.remove(_record(settings))  # nothing here is of these settings: others may be right
         elif settings.format is ExportFormat.POINTS:
-            _write_lists(target, listed)
+            write_lists(source, target, info, listed)
     report.failures.sort(key=lambda failure: failure[0])
     return report
 
@@ -286,17 +287,6 @@ def _export(source: Store, target: Store, settings: ExportSettings, task: _Task,
                 yield Exported(entry.key, entry.category, error=error)
             else:
                 yield Exported(entry.key, entry.category, size=sum(map(len, files.values())))
-
-
-def _write_lists(target: Store, listed: dict[str, list[tuple[str, str]]]) -> None:
-    """The lists of samples by which either project finds its files, of the splits of this run."""
-    for split, samples in listed.items():
-        by_category: dict[str, list[str]] = {}
-        for category, key in samples:
-            by_category.setdefault(category, []).append(key)
-        for category, keys in by_category.items():
-            target.put_bytes(f"occupancy_networks/{category}/{split}.lst", "\n".join(keys).encode())
-        target.put_bytes(f"deepsdf/{split}.json", json.dumps({"ocnf": by_category}, indent=1).encode())
 
 
 def _said(setting: object) -> object:

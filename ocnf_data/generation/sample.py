@@ -160,7 +160,8 @@ def render_item(manifest: Manifest, vertices: F64, mesh: Mesh, directions: F64 |
     camera = manifest.camera
     R, T = _cameras(manifest, vertices, mesh, key) if directions is None else look_from(
         directions, camera.distance)
-    depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
+    depth = render_depth(vertices, mesh.faces, camera.K, R, T, camera.size, manifest.renderer,
+                         manifest.normalise.near)
     return Views(depth, camera.K, R, T)
 
 
@@ -170,7 +171,7 @@ def _cameras(manifest: Manifest, vertices: F64, mesh: Mesh, key: str) -> tuple[F
     if camera.path is None:
         return look_from(rig_from_name(camera.rig), camera.distance)
     (kind, n), extent = camera.path, manifest.normalise.extent
-    free = clearance(vertices, mesh.faces, _OPEN * extent)
+    free = clearance(vertices, mesh.faces, _OPEN * extent, manifest.normalise.near)
     margin = _MARGIN * extent
     if kind == "around":
         return path_around(n, manifest.seed, key, (0.0, 0.0, 0.0), camera.distance, free, margin)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
@@ -26,6 +26,11 @@ class Normalise(Strict):
     def radius(self) -> float:
         """Half the diagonal of the largest bounding box, metres: no vertex is farther from the origin."""
         return (1 - self.padding) * self.extent * float(np.sqrt(3)) / 2
+
+    @property
+    def near(self) -> float:
+        """What is no farther from a camera is not drawn, metres: 1 mm, less for a cube under a metre."""
+        return 1e-3 * min(1.0, self.extent)
 
 
 class Camera(Strict):
@@ -49,9 +54,9 @@ class Camera(Strict):
     fy: Annotated[Real, Field(gt=0)] = 351.0
     """Focal length along y, pixels."""
     cx: Real = 320.0
-    """Column of the principal point, pixels; the centre of the first pixel is 0."""
+    """Column of the principal point, pixels, within the image; the centre of the first pixel is 0."""
     cy: Real = 240.0
-    """Row of the principal point, pixels; the centre of the first pixel is 0."""
+    """Row of the principal point, pixels, within the image; the centre of the first pixel is 0."""
     distance: Annotated[Real, Field(gt=0)] = 3.0
     """Distance from the origin to each camera, metres; more than half the diagonal of the largest bounding
     box, which is 2.468 m for the default extent and padding."""
@@ -65,6 +70,15 @@ class Camera(Strict):
         except OcnfError as error:
             raise refused(error.what, expected=error.expected) from error
         return name
+
+    @model_validator(mode="after")
+    def _principal_point_inside(self) -> Camera:
+        """Outside, it is that of an image of another size, and the cameras look past the mesh."""
+        for field, side in (("cx", self.width), ("cy", self.height)):
+            if not -0.5 <= getattr(self, field) <= side - 0.5:
+                raise refused("the principal point lies outside of the image", at=f".{field}",
+                              found=getattr(self, field), expected=f"-0.5 to {side - 0.5}")
+        return self
 
     @property
     def n_views(self) -> int:

@@ -72,10 +72,15 @@ def _categories(value: Any, at: str) -> tuple[str, ...] | Literal["all"]:
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
         raise refused("not a list of categories", at=at, found=value, expected="a list of names, or all")
     for i, name in enumerate(value):
-        if name in ("", ".", "..") or any(c in name for c in "/\\\0"):
-            raise refused("not a folder's name", at=f"{at}[{i}]", found=name, expected="no /, \\, . or ..")
+        check_category(name, f"{at}[{i}]")
     refuse_repeats(value, at)
     return tuple(value)
+
+
+def check_category(name: str, at: str = "") -> None:
+    """Raise `refused` unless it can be the name of a folder, as it is where samples are exported."""
+    if name in ("", ".", "..") or any(c in name for c in "/\\\0"):
+        raise refused("not a folder's name", at=at, found=name, expected="no /, \\, . or ..")
 
 
 Categories = Annotated[SplitCategories, BeforeValidator(_split_categories)]

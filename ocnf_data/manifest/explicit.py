@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from ocnf_data.files.validation import Strict, refused
-from ocnf_data.manifest.entries import SPLITS, Entry
+from ocnf_data.manifest.entries import SPLITS, Entry, check_category
 
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -21,12 +21,13 @@ class ListEntry(Strict):
     path: Annotated[str, Field(min_length=1)]
     """Path of the mesh file, relative to the root."""
     category: Annotated[str, Field(min_length=1)] = "mesh"
-    """Category of the mesh, by which the loader selects and the evaluation groups."""
+    """Category of the mesh, by which the loader selects and the evaluation groups; a folder's name."""
     key: str | None = None
     """Name of the sample; letters, digits, `_` and `-`, each once. None derives it from the path."""
 
     @model_validator(mode="after")
-    def _plain_key(self) -> ListEntry:
+    def _plain_names(self) -> ListEntry:
+        check_category(self.category, ".category")
         if self.key is not None and not _KEY.fullmatch(self.key):
             raise refused("not a key", at=".key", found=self.key, expected="letters, digits, _ and -")
         return self

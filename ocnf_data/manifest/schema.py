@@ -153,19 +153,26 @@ class Manifest(Strict):
         if self.synthesis is not None and self.synthesis.views[1] > n:
             raise refused(f"the rig {self.camera.rig} has fewer views", at="synthesis.views[1]",
                           found=self.synthesis.views[1], expected=f"1 to {n}")
-        if self.synthesis is not None and self.camera.path is not None and not self._all_scenes():
+        if self.synthesis is not None and self.camera.path is not None and not all(self._are_scenes()):
             raise refused("a hand-held path cannot be drawn from", at="camera.rig", found=self.camera.rig,
                           expected="a rig of directions where synthesis draws anything but scenes")
+        if self.synthesis is not None and not any(self._are_scenes()):
+            given, default = (section.model_dump(mode="json") for section in (self.synthesis, Synthesis()))
+            for field in ("zoom", "cameras"):
+                if given[field] != default[field]:
+                    raise refused(f"{field} belongs to scenes", at=f"synthesis.{field}", found=given[field],
+                                  expected="none without a source of kind scenes")
         if self.camera.path is None and self.camera.distance <= self.normalise.radius:
             raise refused("the cameras would stand inside the bounding sphere of the meshes",
                           at="camera.distance", found=self.camera.distance,
                           expected=f"more than {self.normalise.radius:.4g} m")
         return self
 
-    def _all_scenes(self) -> bool:
+    def _are_scenes(self) -> list[bool]:
+        """Whether they are scenes, of each source."""
         parts = [part.source for part in self.source.parts] if isinstance(self.source, MixtureSource) else [
             self.source]
-        return all(isinstance(source, ScenesSource) for source in parts)
+        return [isinstance(source, ScenesSource) for source in parts]
 
     def _fit_for_scans(self) -> Manifest:
         if self.camera != Camera():

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import numpy.typing as npt
 
 from ocnf_data.arrays import F64, I64
@@ -21,11 +20,12 @@ from ocnf_data.files.interrupts import ignore_interrupts, joblib_results
 from ocnf_data.files.storage import Store
 from ocnf_data.fusion import fuse_tsdf
 from ocnf_data.meshes.formats import FORMATS
+from ocnf_data.meshes.listing import is_hidden
 from ocnf_data.meshes.normalise import fit_cube
 from ocnf_data.meshes.read import read_mesh
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.octree.surface import octree_surface
-from ocnf_data.render import render_depth
+from ocnf_data.render import checked_mesh, render_depth
 from ocnf_data.views import rigs
 from ocnf_data.views.cameras import Views
 
@@ -49,10 +49,13 @@ def make_watertight(vertices: npt.ArrayLike, faces: npt.ArrayLike, resolution: i
         vertices (N, 3) and faces (M, 3): every edge belongs to two faces, which look outwards.
 
     Raises:
-        OcnfError: `degenerate` for a mesh without extent, `empty` where nothing is thick enough to be solid.
+        OcnfError: arrays that are not those of a mesh, `degenerate` for one without extent, `empty` for one
+            without faces and where nothing is thick enough to be solid.
     """
-    points = np.asarray(vertices, dtype=np.float64)
-    triangles = np.asarray(faces, dtype=np.int64)
+    points, triangles = checked_mesh(vertices, faces, "make_watertight")
+    if len(triangles) == 0:
+        raise OcnfError("has no faces", code="empty", where="make_watertight",
+                        found=f"{len(points)} vertices")
     cube = fit_cube(points, triangles, _EXTENT)
     zoom = -(-resolution // 256)  # finer voxels need finer pixels
     size = (zoom * _HEIGHT, zoom * _WIDTH)
@@ -81,7 +84,8 @@ def watertight_path(source: str | os.PathLike[str], out: str | os.PathLike[str],
     """Make one mesh file, or all in a folder and the folders in it, watertight.
 
     Args:
-        source: a mesh file, or a folder.
+        source: a mesh file, or a folder. Hidden files and folders in it are passed over, and so is `out`
+            where it lies in it.
         out: the file to write if `source` is a file (its suffix names the format; without a suffix it is a
             folder). If `source` is a folder, the folder in which the same tree of names appears.
         resolution: voxels along the cube, a multiple of 8, as for `make_watertight`.
@@ -121,8 +125,7 @@ def _tasks(source: Path, out: Path, suffix: str) -> list[tuple[Path, Path]]:
         to_folder = out.is_dir() or out.suffix == ""
         tasks = [(source, out / f"{source.stem}{suffix}" if to_folder else out)]
     else:
-        paths = sorted((p for p in source.rglob("*") if p.suffix.lower() in FORMATS and p.is_file()),
-                       key=lambda p: p.relative_to(source).as_posix())
+        paths = _meshes_in(source, out)
         if not paths:
             raise OcnfError("holds no mesh", code="empty", where=source, expected=", ".join(FORMATS))
         stems = [p.with_suffix("") for p in paths]
@@ -136,6 +139,19 @@ def _tasks(source: Path, out: Path, suffix: str) -> list[tuple[Path, Path]]:
         if target.resolve() == path.resolve():
             raise OcnfError("would overwrite its own source", where=target, fix="name another output")
     return tasks
+
+
+def _meshes_in(source: Path, out: Path) -> list[Path]:
+    """The mesh files in a folder and the folders in it, less what is hidden and what lies in `out`."""
+    base, made = source.resolve(), out.resolve()
+    if base == made:
+        raise OcnfError("is the folder of the meshes: what is written would be read the next time", where=out,
+                        fix="name another output")
+    within = made.is_relative_to(base)  # not where `source` lies in `out`: that may hold it
+    found = sorted((p.relative_to(source) for p in source.rglob("*")
+                    if p.suffix.lower() in FORMATS and p.is_file()), key=lambda p: p.as_posix())
+    return [source / p for p in found
+            if not any(map(is_hidden, p.parts)) and not (within and (base / p).is_relative_to(made))]
 
 
 def _run(tasks: list[tuple[Path, Path]], resolution: int, level: float,

@@ -23,7 +23,7 @@ __all__ = ["RENDERERS", "render_depth"]
 Renderer = Callable[[F64, I64, F64, F64, F64, tuple[int, int], float], F32]
 
 _MAX_SIDE = 16384
-_MIN_NEAR = 1e-6
+_MIN_NEAR = 1e-30  # inverse depth is a float32
 
 
 def _raster(*args: Any) -> F32:
@@ -64,7 +64,8 @@ def render_depth(
         T: (V, 3) metres, world to camera.
         size: (H, W) of the images; note the order.
         backend: `raster` or `pyrender`.
-        near: metres; the part of a face at z <= near is cut off.
+        near: metres; the part of a face at z <= near is cut off. Things of millimetres need less than the
+            default.
 
     Raises:
         OcnfError: arguments that do not fit together; with `pyrender`, no working OpenGL.
@@ -76,7 +77,7 @@ def render_depth(
         raise OcnfError("near plane out of range", where="render_depth", field="near", found=near,
                         expected=f"metres >= {_MIN_NEAR}")
     height, width = _checked_size(size)
-    points, triangles = _checked_mesh(vertices, faces)
+    points, triangles = checked_mesh(vertices, faces, "render_depth")
     rotations = np.asarray(R, dtype=np.float64)
     if rotations.ndim != 3 or len(rotations) == 0:
         raise OcnfError("R has the wrong shape", where="render_depth", field="R", found=rotations.shape,
@@ -95,21 +96,22 @@ def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
     return height, width
 
 
-def _checked_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[F64, I64]:
+def checked_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, where: str) -> tuple[F64, I64]:
+    """Vertices (N, 3) and faces (M, 3), both contiguous; OcnfError where they are not those of a mesh."""
     points = np.ascontiguousarray(vertices, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise OcnfError("vertices have the wrong shape", where="render_depth", field="vertices",
+        raise OcnfError("vertices have the wrong shape", where=where, field="vertices",
                         found=points.shape, expected="(N, 3)")
     if not np.isfinite(points).all():
-        raise OcnfError("a vertex is not finite", code="non_finite", where="render_depth",
+        raise OcnfError("a vertex is not finite", code="non_finite", where=where,
                         field=f"vertices[{int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])}]")
     index = np.asarray(faces)
     if index.size == 0:
         index = index.reshape(-1, 3).astype(np.int64)
     if index.ndim != 2 or index.shape[1] != 3 or not np.issubdtype(index.dtype, np.integer):
-        raise OcnfError("faces have the wrong shape or type", where="render_depth", field="faces",
+        raise OcnfError("faces have the wrong shape or type", where=where, field="faces",
                         found=f"{index.shape} {index.dtype}", expected="(M, 3) integers")
     if index.size and not (index.min() >= 0 and index.max() < len(points)):
-        raise OcnfError("a face index is out of range", where="render_depth", field="faces",
+        raise OcnfError("a face index is out of range", where=where, field="faces",
                         found=f"{index.min()} to {index.max()}", expected=f"0 to {len(points) - 1}")
     return points, np.ascontiguousarray(index, dtype=np.int64)

@@ -10,13 +10,13 @@ from ocnf_data.arrays import F64, I64
 from ocnf_data.render import render_depth
 
 _SIDE = 24  # pixels of each of the six images about a point: one in 3.75 degrees
-_NEAR = 1e-3
 _FACES = [([1.0, 0, 0], [0, 0, -1.0]), ([-1.0, 0, 0], [0, 0, -1.0]), ([0, 1.0, 0], [0, 0, -1.0]),
           ([0, -1.0, 0], [0, 0, -1.0]), ([0, 0, 1.0], [1.0, 0, 0]), ([0, 0, -1.0], [1.0, 0, 0])]
 """(where to, down) of each image."""
 
 
-def clearance(vertices: F64, faces: I64, open_beyond: float = 0.0) -> Callable[[F64], F64]:
+def clearance(vertices: F64, faces: I64, open_beyond: float = 0.0,
+              near: float = 1e-3) -> Callable[[F64], F64]:
     """The function from points (N, 3) to the distance of the nearest surface seen from each, metres (N,).
 
     Six images to a point, 24 x 24 pixels of 90 degrees each, so that a bar may be missed that is thinner than
@@ -26,6 +26,7 @@ def clearance(vertices: F64, faces: I64, open_beyond: float = 0.0) -> Callable[[
         vertices: (N, 3) metres.
         faces: (M, 3).
         open_beyond: metres; a point that sees nothing farther than this is within something, and has no room.
+        near: metres; what is nearer than this is not seen.
     """
     turns = np.array([[np.cross(down, ahead), down, ahead] for ahead, down in _FACES])  # (6, 3, 3)
     K = np.array([[_SIDE / 2, 0, (_SIDE - 1) / 2], [0, _SIDE / 2, (_SIDE - 1) / 2], [0, 0, 1]])
@@ -36,7 +37,7 @@ def clearance(vertices: F64, faces: I64, open_beyond: float = 0.0) -> Callable[[
     def at(points: F64) -> F64:
         R = np.tile(turns, (len(points), 1, 1))
         T = -np.einsum("vij,vj->vi", R, np.repeat(points, len(turns), axis=0))
-        depth = render_depth(vertices, faces, K, R, T, (_SIDE, _SIDE), near=_NEAR)
+        depth = render_depth(vertices, faces, K, R, T, (_SIDE, _SIDE), near=near)
         distance = (depth * length).reshape(len(points), -1).astype(np.float64)
         return np.where(distance.max(axis=1) > open_beyond, distance.min(axis=1), 0.0)
 

@@ -18,6 +18,7 @@ _KEY_LIGHT = np.array([-0.45, -0.65, -0.61])  # camera axes (x right, y down, z 
 _DISTANCE = 4.5  # of the camera, in radii of the object: a long lens distorts little
 _AZIMUTHS = (35.0, 325.0, 145.0, 215.0, 60.0, 300.0, 120.0, 240.0)  # of equal ones, the first is taken
 _SEARCH = 96  # pixels along a picture that is only measured
+_NEAR = 1e-3  # radii of the object, and at most as many units: of things smaller than 1 nothing is cut off
 _MARGIN = 0.04  # of the picture's width, left free all around
 
 
@@ -99,7 +100,8 @@ def _lit(points: F64, triangles: I64, camera: Views, radius: float, colour: tupl
     """The picture of one view, averaged over squares of `supersample` x `supersample` pixels."""
     height, width = camera.size
     K = camera.K[0]
-    depth = rasterise(points, triangles, camera.K, camera.R, camera.T, (height, width))[0].astype(np.float64)
+    depth = rasterise(points, triangles, camera.K, camera.R, camera.T, (height, width),
+                      _NEAR * min(1.0, radius))[0].astype(np.float64)
     hit = np.isfinite(depth)
     normal = _normals(np.where(hit, depth, np.nan), K)
     key = np.clip(normal @ (_KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)), 0, 1)
@@ -133,7 +135,8 @@ def best_azimuth(vertices: npt.ArrayLike, faces: npt.ArrayLike, up: str = "z",
     T = np.array([0.0, 0.0, _DISTANCE * radius]) - R @ ((low + high) / 2)
     focal = 0.45 * _SEARCH * (_DISTANCE - 1)  # the same in all, so that pixels can be compared
     K = np.array([[focal, 0, (_SEARCH - 1) / 2], [0, focal, (_SEARCH - 1) / 2], [0, 0, 1]])
-    depths = rasterise(points, triangles, np.tile(K, (len(R), 1, 1)), R, T, (_SEARCH, _SEARCH))
+    depths = rasterise(points, triangles, np.tile(K, (len(R), 1, 1)), R, T, (_SEARCH, _SEARCH),
+                       _NEAR * min(1.0, radius))
     shown = [_shown(depth.astype(np.float64), K) for depth in depths]
     return _AZIMUTHS[int(np.argmax(shown))]
 

@@ -127,5 +127,6 @@ def observe_look(views: Views, look: Look, metres: float) -> Views:
 def _render_scene(manifest: Manifest, posed: Posed, R: F64, T: F64) -> Views:
     """Views of a scene by the manifest's pinhole at poses R (V, 3, 3), T (V, 3)."""
     camera = manifest.camera
-    depth = render_depth(posed.vertices, posed.mesh.faces, camera.K, R, T, camera.size, manifest.renderer)
+    depth = render_depth(posed.vertices, posed.mesh.faces, camera.K, R, T, camera.size, manifest.renderer,
+                         manifest.normalise.near)
     return Views(depth, camera.K, R, T)

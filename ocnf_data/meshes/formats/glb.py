@@ -174,12 +174,15 @@ def _n_faces(primitive: _Primitive, accessors: list[dict[str, Any]]) -> int:
 
 
 def _walk(header: dict[str, Any], where: str) -> Iterator[tuple[Any, F64]]:
-    """(mesh, matrix to the world) of the nodes of the scene that have one."""
+    """(mesh, matrix to the world) of the nodes of the scene that have one; without scenes, of all nodes."""
     nodes, scenes = _objects(header, "nodes", where), _objects(header, "scenes", where)
-    if not scenes:
-        return
-    scene = scenes[_index(header.get("scene", 0), scenes, "the scene", where)]
-    queue = [(node, np.eye(4)) for node in _list(scene, "nodes", where)]
+    if scenes:
+        roots = _list(scenes[_index(header.get("scene", 0), scenes, "the scene", where)], "nodes", where)
+    else:
+        below = {_index(child, nodes, "a node", where)
+                 for node in nodes for child in _list(node, "children", where)}
+        roots = [number for number in range(len(nodes)) if number not in below]
+    queue = [(node, np.eye(4)) for node in roots]
     seen = set()
     while queue:
         number, above = queue.pop()
@@ -229,7 +232,8 @@ def _decode(header: dict[str, Any], binary: bytes, primitives: list[_Primitive],
     place = {accessor: i for i, accessor in enumerate(used)}
     meshes = []
     for number, p in enumerate(primitives):
-        raw = {"attributes": {"POSITION": place[p.position]}, "mode": p.mode}
+        # trimesh passes over fans: it reads them as strips, which have the same corners in the same order.
+        raw = {"attributes": {"POSITION": place[p.position]}, "mode": _STRIP if p.mode == _FAN else p.mode}
         if p.indices is not None:
             raw["indices"] = place[p.indices]
         meshes.append({"name": str(number), "primitives": [raw]})
@@ -250,11 +254,21 @@ def _decode(header: dict[str, Any], binary: bytes, primitives: list[_Primitive],
         mesh = geometry.get(str(number))
         if isinstance(mesh, trimesh.Trimesh):
             faces = check_indices(np.asarray(mesh.faces), len(mesh.vertices), where)
+            if primitive.mode == _FAN:
+                faces = _fan(faces)
             points = np.asarray(mesh.vertices, np.float64)
             found[primitive] = _in_units(points, header["accessors"][primitive.position]), faces
         else:  # no vertex, or what trimesh makes no triangles of
             found[primitive] = np.empty((0, 3)), np.empty((0, 3), np.int64)
     return found
+
+
+def _fan(strip: I64) -> I64:
+    """The triangles (M, 3) of a fan, from those of a strip of its corners, every other of which is turned."""
+    faces = strip.copy()
+    faces[1::2] = strip[1::2, ::-1]
+    faces[:, 0] = faces[:1, 0]
+    return faces
 
 
 def _in_units(points: F64, accessor: dict[str, Any]) -> F64:

@@ -20,11 +20,14 @@ _VERTEX = re.compile(rb"\bvertex\b([^\n]*\n)", re.IGNORECASE)
 
 
 def parse_stl(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
-    """Vertices (3 M, 3) and triangles (M, 3); binary if the size fits its count, else ASCII."""
+    """Vertices (3 M, 3) and triangles (M, 3); binary if it holds as many as it claims, else ASCII."""
     n = int.from_bytes(data[80:_HEADER_BYTES], "little")
-    if len(data) >= _HEADER_BYTES and len(data) == _HEADER_BYTES + n * _RECORD.itemsize:
+    size = _HEADER_BYTES + n * _RECORD.itemsize
+    # Some programs write something more behind the triangles. Text is never taken for binary: its characters
+    # at that place would claim gigabytes.
+    if len(data) == size or (n > 0 and len(data) > size):
         check_face_count(n, max_faces, where)
-        corners = np.frombuffer(data, _RECORD, offset=_HEADER_BYTES)["corners"]
+        corners = np.frombuffer(data, _RECORD, n, _HEADER_BYTES)["corners"]
         vertices = corners.reshape(-1, 3).astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid":
         check_face_count(data.count(b"vertex") // 3, max_faces, where)
@@ -34,6 +37,6 @@ def parse_stl(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
             raise unreadable("a triangle has not three corners of three coordinates", where)
         vertices = values.reshape(-1, 3)
     else:
-        raise unreadable("not an STL file: its size does not fit the number of triangles it claims", where,
+        raise unreadable("not an STL file: it does not hold the number of triangles it claims", where,
                          found=f"{len(data)} bytes, {n} triangles")
     return vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,44 @@ def test_points_of_a_stopped_run_are_made_whole(shapes: Store, tmp_path: Path) -
     report = export_dataset(shapes.url, out, "points", points=50, splits=["train"])
     assert (report.written, report.kept) == (1, 2)
     assert files(out) == whole
+
+
+def listed(out: Path) -> dict[str, list[str]]:
+    """The lists of Occupancy Networks by category and split, each equal to DeepSDF's."""
+    found = {path.relative_to(out / "occupancy_networks").as_posix(): path.read_text().split()
+             for path in sorted(out.rglob("*.lst"))}
+    for path in (out / "deepsdf").glob("*.json"):
+        there = json.loads(path.read_text())["ocnf"]
+        assert there == {name.split("/")[0]: keys for name, keys in found.items()
+                         if keys and name.endswith(f"/{path.stem}.lst")}
+    return found
+
+
+def test_the_lists_name_what_is_there(shapes: Store, tmp_path: Path) -> None:
+    """Whatever limits and splits the runs had; a category without samples of a split has an empty list."""
+    def export(**options: object) -> dict[str, list[str]]:
+        export_dataset(shapes.url, tmp_path / "out", "points", points=50, **options)
+        return listed(tmp_path / "out")
+
+    train = {"ball/train.lst": ["ball_1", "ball_2"], "box/train.lst": ["box_1"]}
+    assert export(splits=["train"], limit=1) == {"ball/train.lst": ["ball_1"]}
+    assert export(splits=["test"]) == {"ball/train.lst": ["ball_1"], "ball/test.lst": [],
+                                       "box/train.lst": [], "box/test.lst": ["box_2"]}
+    whole = {**train, "ball/test.lst": [], "box/test.lst": ["box_2"]}
+    assert export() == whole
+    assert export(limit=1) == whole
+    (tmp_path / "out/deepsdf/SdfSamples/ocnf/box/box_1.npz").unlink()
+    assert export(splits=["test"]) == {**whole, "box/train.lst": []}
+
+
+def test_the_lists_of_a_damaged_data_set(shapes: Store, tmp_path: Path) -> None:
+    for name in ("shard-000001.tar", "shard-000001.json"):
+        (shapes.root / "train" / name).unlink()
+    for catalogue in (shapes.root / "train").glob("catalogue*"):
+        catalogue.unlink()
+    export_dataset(shapes.url, tmp_path / "out", "points", points=50)
+    assert listed(tmp_path / "out") == {"ball/train.lst": ["ball_1"], "box/train.lst": ["box_1"],
+                                        "ball/test.lst": [], "box/test.lst": ["box_2"]}
 
 
 @pytest.mark.parametrize("format_", ["points", "mesh"])

@@ -138,12 +138,30 @@ def test_occupied_equals_the_dense_definition() -> None:
     assert found.n_leaves < octree.n_leaves
 
 
+@pytest.mark.parametrize("extent", [1e-6, 1e-3])
+@pytest.mark.parametrize("rig", ["fibonacci8", "around3"])
+def test_a_tiny_cube_is_seen_as_a_large_one(meshes, define, extent, rig) -> None:
+    """No near plane cuts into meshes that lie within a millimetre of their cameras."""
+    root = meshes("a")
+    camera = define().to_dict()["camera"] | {"rig": rig}
+    depth = []
+    for size in (3.0, extent):
+        manifest = define(normalise={"extent": size}, camera={**camera, "distance": size})
+        mesh = read_mesh(root / "chair/train/a.off")
+        depth.append(render_item(manifest, normalise(mesh, size)[0], mesh, key="a").depth / size)
+    assert 0.1 < np.isfinite(depth[0]).mean() < 1
+    off = ~np.isclose(*depth, rtol=1e-5)  # a pixel's centre may be on an edge
+    assert off.sum() <= 2
+
+
 def test_a_mesh_that_no_camera_sees(meshes, define, tmp_path) -> None:
     """A camera that looks past the mesh."""
     root = meshes("a")
-    camera = {"rig": "fibonacci8", "width": 8, "height": 8, "fx": 2800, "fy": 2800, "cx": -9000, "cy": 0}
+    manifest = define()
+    past = manifest.camera.model_copy(update={"cx": -9000.0})  # which no manifest of a file's may have
+    item = make_plan(manifest, root).items[0]
     with pytest.raises(OcnfError) as caught:
-        first(define(camera=camera), root)
+        make_sample(manifest.model_copy(update={"camera": past}), item, root)
     assert caught.value.code == "invisible"
 
 

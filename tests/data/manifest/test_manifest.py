@@ -115,6 +115,12 @@ def test_round_trips(source: dict[str, Any], tmp_path: Path) -> None:
         assert again.meshes_root() == tmp_path
 
 
+def test_a_principal_point_off_the_centre() -> None:
+    for cx, cy in ((0, 0), (-0.5, 479.5), (600, 3)):
+        camera = Manifest.from_dict(example(camera={"cx": cx, "cy": cy})).camera
+        assert (camera.K[0, 2], camera.K[1, 2]) == (cx, cy)
+
+
 def test_it_is_immutable() -> None:
     m = Manifest.from_dict(example())
     with pytest.raises(ValidationError):
@@ -190,6 +196,12 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
     ("rig", {"camera": {"rig": "icosphere"}}, ["camera.rig", "found 'icosphere'", "published80"]),
     ("rig too large", {"camera": {"rig": "icosphere9"}}, ["camera.rig", "found 'icosphere9'", "0 to 5"]),
     ("inside the mesh", {"camera": {"distance": 2}}, ["camera.distance", "found 2", "more than 2.468"]),
+    ("principal point left of the image", {"camera": {"cx": -1}},
+     ["camera.cx", "outside of the image", "found -1", "-0.5 to 639.5"]),
+    ("principal point beneath it", {"camera": {"cy": 480}},
+     ["camera.cy", "outside of the image", "found 480", "-0.5 to 479.5"]),
+    ("principal point of a larger image", {"camera": {"width": 300, "height": 480}},
+     ["camera.cx", "found 320", "-0.5 to 299.5"]),
     ("padding", {"normalise": {"padding": 1}}, ["normalise.padding", "found 1", "less than 1"]),
     ("views", {"views": "keeps"}, ["views", "found 'keeps'", "'drop' or 'keep'"]),
     ("seed", {"seed": -1}, ["seed", "found -1"]),
@@ -237,6 +249,10 @@ REFUSED: list[tuple[str, dict[str, Any], list[str]]] = [
      ["source.items.train[1].key", "listed twice"]),
     ("key", {"source": {"kind": "list", "items": {"train": [{"path": "a", "key": "chair.v2"}]}}},
      ["source.items.train[0].key", "found 'chair.v2'"]),
+    *((f"category {name!r}", {"source": {"kind": "list", "items": {"val": [
+        "a.off", {"path": "b.off", "category": name}]}}},
+       ["demo.yaml: source.items.val[1].category: not a folder's name", f"found {name!r}"])
+      for name in ("../../../evil", "a/b", "/", "a\\b", "..", ".", "a\0")),
     ("an empty list", {"source": {"kind": "list", "items": {}}}, ["source.items", "empty"]),
 ]
 

@@ -74,6 +74,8 @@ def test_the_section_changes_nothing_of_a_generated_data_set(tmp_path: Path) -> 
     ({"scale": [0.5, 1.1]}, r"synthesis\.scale\[1\]"),
     ({"zoom": [0.5, 2]}, r"synthesis\.zoom\[0\].*found 0\.5"),
     ({"cameras": "sphere"}, r"synthesis\.cameras\.sphere.*'path' or 'single'"),
+    ({"zoom": [1, 2]}, r"synthesis\.zoom: zoom belongs to scenes; found.*1\.0, 2\.0.*expected"),
+    ({"cameras": "single"}, r"synthesis\.cameras: cameras belongs to scenes; found \{'single': 1\.0\}"),
     ({"samples_per_epoch": 0}, r"synthesis\.samples_per_epoch"),
     ({"up": "w"}, r"synthesis\.up.*'x', 'y' or 'z'"),
     ({"noise": "salt"}, r"synthesis\.noise\.salt.*'park' or 'kinect'"),
@@ -81,6 +83,18 @@ def test_the_section_changes_nothing_of_a_generated_data_set(tmp_path: Path) -> 
 def test_what_is_wrong_is_named(section: dict[str, Any], message: str) -> None:
     with pytest.raises(OcnfError, match=f"(?i){message}"):
         with_section(**section)
+
+
+def test_what_belongs_to_scenes_needs_some() -> None:
+    section = {"zoom": [1, 2], "cameras": "single"}
+    scenes = {"kind": "scenes", "categories": "all", "counts": {"train": 1}}
+    for source in (scenes, {"kind": "mixture", "parts": [{"source": SHAPES}, {"source": scenes}]}):
+        manifest = Manifest.from_dict({**FIELDS, "source": source, "synthesis": section})
+        assert Manifest.from_dict(manifest.to_dict()) == manifest
+    with pytest.raises(OcnfError, match="belongs to scenes"):
+        Manifest.from_dict({**FIELDS, "source": {"kind": "mixture", "parts": [{"source": SHAPES}]},
+                            "synthesis": section})
+    assert with_section(zoom=[1, 1], cameras={"single": 1, "path": 1}).synthesis == Synthesis()
 
 
 # ---- several sources as one

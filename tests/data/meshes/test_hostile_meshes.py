@@ -101,6 +101,7 @@ def code_of(path: Path, **limits) -> str:
     ("a.stl", b"\0" * 80 + struct.pack("<I", 2**32 - 1) + b"\0" * 50, "unreadable"),
     ("a.stl", b"solid".ljust(80) + struct.pack("<I", 2**31) + b"\0" * 50, "empty"),
     ("a.stl", b"\0" * 80 + struct.pack("<I", 0), "empty"),
+    ("a.stl", b"\0" * 80 + struct.pack("<I", 0) + b"\0" * 50, "unreadable"),
     ("a.stl", b"solid x\nfacet\nvertex 0 0 0\nvertex 0 1 0\nendsolid", "unreadable"),
     ("a.stl", b"solid x\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 x 0\nendsolid", "unreadable"),
     ("a.glb", b"glTF", "unreadable"),

@@ -109,10 +109,59 @@ def test_stl_both_ways(tmp_path):
         assert mesh.stats["components"] == 1
 
 
+@pytest.mark.parametrize("begin", [b"made by hand", b"solid liar"])
+@pytest.mark.parametrize("after", [b"\n", b"\0\0", b"COLOR=" + 60 * b"x", 99 * b"\0"], ids=range(4))
+def test_stl_with_more_behind_its_triangles(tmp_path, begin, after):
+    rows = b"".join(struct.pack("<12fH", 0, 0, 0, *c.ravel(), 0) for c in TETRA_V[TETRA_F])
+    data = begin.ljust(80) + struct.pack("<I", 4) + rows
+    mesh = read(tmp_path, "a.stl", data + after)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], TETRA_V[TETRA_F])
+    with pytest.raises(OcnfError) as caught:
+        read(tmp_path, "short.stl", data[:-1])
+    assert caught.value.code == ("empty" if begin.startswith(b"solid") else "unreadable")
+
+
 def test_glb_with_transforms(tmp_path, valid):
     mesh = read(tmp_path, "x.glb", valid[".glb"])
     np.testing.assert_allclose(mesh.vertices, 2 * TETRA_V + [1, 2, 3])
     np.testing.assert_array_equal(mesh.faces, TETRA_F)
+
+
+@pytest.mark.parametrize(("mode", "faces"), [
+    (5, [[0, 1, 2], [3, 2, 1], [2, 3, 4], [5, 4, 3]]),
+    (6, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]),
+])
+@pytest.mark.parametrize("order", [None, [4, 2, 5, 0, 3, 1], [0, 1]])
+def test_glb_strips_and_fans(tmp_path, tetra, mode, faces, order):
+    """Triangle strips and fans, with indices and without; two corners make no triangle."""
+    points = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 1], [1, 2, 0], [0, 2, 1], [-1, 1, 0]], "<f4")
+    used = np.arange(6) if order is None else np.array(order)
+    blob = points.tobytes() + used.astype("<u2").tobytes()
+    header = tetra.header()
+    header["buffers"][0]["byteLength"] = len(blob)
+    header["bufferViews"][0]["byteLength"] = points.nbytes
+    header["bufferViews"][1].update(byteOffset=points.nbytes, byteLength=2 * len(used))
+    header["accessors"][0]["count"], header["accessors"][1]["count"] = 6, len(used)
+    primitive = {"attributes": {"POSITION": 0}, "mode": mode}
+    header["meshes"][0]["primitives"] = [primitive if order is None else {**primitive, "indices": 1}]
+    if len(used) < 3:
+        with pytest.raises(OcnfError, match="has no faces"):
+            read(tmp_path, "x.glb", tetra.glb(header, blob))
+        return
+    mesh = read(tmp_path, "x.glb", tetra.glb(header, blob))
+    np.testing.assert_array_equal(mesh.vertices, 2.0 * points + [1, 2, 3])
+    np.testing.assert_array_equal(mesh.faces, used[faces])
+
+
+@pytest.mark.parametrize("scenes", [{}, {"scenes": []}, {"scenes": [{"nodes": [2]}]}])
+def test_glb_without_a_scene(tmp_path, tetra, scenes):
+    """Where none is there, all nodes that have no parent are the scene; else the first one is."""
+    header = tetra.header()
+    del header["scene"], header["scenes"]
+    header["nodes"].append({"mesh": 0})
+    mesh = read(tmp_path, "x.glb", tetra.glb({**header, **scenes}))
+    placed = [TETRA_V] if scenes.get("scenes") else [TETRA_V, 2 * TETRA_V + [1, 2, 3]]
+    np.testing.assert_allclose(mesh.vertices, np.concatenate(placed))
 
 
 @pytest.mark.parametrize(("kind", "dtype", "one"), [(5120, "<i1", 127), (5121, "<u1", 255),

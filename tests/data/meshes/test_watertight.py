@@ -100,6 +100,43 @@ def test_a_folder_with_a_bad_file(tmp_path, jobs):
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == names
 
 
+def test_neither_hidden_files_nor_its_own_output_are_sources(tmp_path):
+    part = box(1, 2, 3)
+    for name in ("a.off", ".a.off", "._b.off", ".trash/c.off"):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(WRITERS[".off"](part.vertices, part.faces))
+    (tmp_path / "out").mkdir()
+    for out in (tmp_path / "out", tmp_path / "out", tmp_path / "out" / ".." / "out"):
+        report = watertight_path(tmp_path, out, 16, suffix=".off")
+        assert [p.relative_to(out).as_posix() for p in report.written] == ["a.off"]
+        assert report.failures == []
+    with pytest.raises(OcnfError, match="is the folder of the meshes"):
+        watertight_path(tmp_path, tmp_path / "out" / "..", 16)
+    report = watertight_path(tmp_path / "out", tmp_path, 16)
+    assert report.written == [tmp_path / "a.ply"]  # the folder above may be the output
+    (tmp_path / "a.off").unlink()
+    (tmp_path / "a.ply").unlink()
+    with pytest.raises(OcnfError, match="holds no mesh"):
+        watertight_path(tmp_path, tmp_path / "out", 16)
+
+
+@pytest.mark.parametrize(("vertices", "faces", "code", "message"), [
+    (np.eye(3), [[0, 1, 3]], "invalid", "faces: a face index is out of range; found 0 to 3"),
+    (np.eye(3), [[0, 1, -1]], "invalid", "faces: a face index is out of range; found -1 to 1"),
+    (np.eye(3), [[0, 1]], "invalid", "faces: faces have the wrong shape"),
+    (np.eye(3), [[0, 1, 2.5]], "invalid", "faces: faces have the wrong shape or type"),
+    (np.eye(2), [[0, 1, 0]], "invalid", "vertices: vertices have the wrong shape"),
+    (np.eye(3) * np.nan, [[0, 1, 2]], "non_finite", "a vertex is not finite"),
+    (np.eye(3), [], "empty", "has no faces"),
+    (np.empty((0, 3)), np.empty((0, 3), np.int64), "empty", "has no faces"),
+])
+def test_arrays_that_are_no_mesh(vertices, faces, code, message):
+    with pytest.raises(OcnfError, match=f"make_watertight: .*{message}") as caught:
+        make_watertight(vertices, faces, RESOLUTION)
+    assert caught.value.code == code
+
+
 def test_what_cannot_be_done_is_said(tmp_path):
     part = box(1, 2, 3)
     source = tmp_path / "in.ply"

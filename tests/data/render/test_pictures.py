@@ -7,7 +7,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.octree import GridOctree
 from ocnf_data.render import render_depth
 from ocnf_data.render.pictures import as_distance, busiest_plane, busiest_window, paint_squares, slice_cells
-from ocnf_data.render.shade import shade, shade_view
+from ocnf_data.render.shade import best_azimuth, shade, shade_view
 from ocnf_data.views.cameras import Views
 
 
@@ -102,6 +102,19 @@ def test_a_picture_from_a_camera_shows_what_the_camera_sees(supersample):
     assert off.mean() < (1e-9 if supersample == 1 else 0.05) and 0.2 < drawn.mean() < 0.8
     rows, columns = np.nonzero(np.isfinite(depth))
     assert np.abs(np.argwhere(drawn).mean(axis=0) - [rows.mean(), columns.mean()]).max() < 0.2
+
+
+def test_any_unit_will_do():
+    """Of a sphere smaller than a millimetre nothing is cut off."""
+    points, faces = triangulated_sphere(24)
+    picture, tiny = shade(points, faces, size=64), shade(points * 1e-6, faces, size=64)
+    assert np.abs(picture.astype(int) - tiny).mean() < 1
+    assert best_azimuth(points * 1e-6, faces) == best_azimuth(points, faces)
+    K = np.array([[50.0, 0, 31], [0, 50.0, 23], [0, 0, 1]])
+    seen = [shade_view(points * unit, faces, Views(np.zeros((1, 48, 64), np.float32), K, np.eye(3)[None],
+                                                   np.array([[0, 0, 3.0 * unit]]))) for unit in (1, 1e-6)]
+    assert (seen[0] < 250).any()
+    assert np.abs(seen[0].astype(int) - seen[1]).mean() < 1
 
 
 def test_no_faces_give_an_empty_picture():
