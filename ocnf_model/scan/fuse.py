@@ -90,7 +90,7 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
     stages = stages or StageLog()
     if faces is not None:
         check_faces(faces)
-    check_memory(scan.views, region, region.size / fuser.resolution if voxel is None else voxel)
+    check_memory(scan.views, region, voxel, fuser.resolution)
     began = stages.total
     octrees, grid, truncation = _fuse(pyramid, fuser, region, voxel, stages, report)
     seconds = stages.total - began

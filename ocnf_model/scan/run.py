@@ -15,6 +15,7 @@ from ocnf_data.views.scans import Scan, read_scan
 from ocnf_model.checkpoint import open_run
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
+from ocnf_model.scan.budget import check_voxel
 from ocnf_model.scan.components import check_faces
 from ocnf_model.scan.frames import limit_depth
 from ocnf_model.scan.fuse import choose_region, reconstruct, refuse_both
@@ -94,6 +95,8 @@ class Asked:
         if not self.chosen():
             raise OcnfError("no method", field="method", expected="ours, volfus or tvl1")
         refuse_both(self.box, self.room)
+        if self.voxel is not None:
+            check_voxel(self.voxel)
 
 
 def run_fuse(scan: str, asked: Asked, console: Console | None = None,
