@@ -45,6 +45,14 @@ def check_picture(path: Path) -> None:
         raise missing_extra("pictures need matplotlib", "fuse") from error
 
 
+def check_dense(path: Path, shape: tuple[int, ...]) -> None:
+    """Raise OcnfError where a grid (D, H, W) is too large for a file of this name: `.npz` is dense."""
+    if path.suffix.lower() == ".npz" and np.prod(shape, dtype=float) > _MAX_DENSE:
+        raise OcnfError("too large as a dense volume", code="too_large", where=path,
+                        found=f"{shape} voxels", expected=f"at most {_MAX_DENSE:,}",
+                        fix="write an octree, to a name that ends in .oc")
+
+
 def mesh_suffixes() -> tuple[str, ...]:
     """The suffixes that meshes can be written with."""
     return tuple(WRITERS)
@@ -72,9 +80,7 @@ def save_tsdf(result: Reconstruction, path: Path) -> None:
                    "truncation": result.truncation}
         store.put_bytes(path.with_suffix(".json").name, json.dumps(placing, indent=1).encode())
         return
-    if np.prod(octree.shape, dtype=float) > _MAX_DENSE:
-        raise OcnfError("too large as a dense volume", code="too_large", where=path,
-                        found=f"{octree.shape} voxels", fix="write an octree, to a name that ends in .oc")
+    check_dense(path, octree.shape)
     with store.writing(path.name) as file, file.open("wb") as stream:
         np.savez_compressed(stream, tsdf=octree.to_dense()[0], first=first, voxel=voxel,
                             truncation=result.truncation)

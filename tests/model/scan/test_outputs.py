@@ -80,6 +80,17 @@ def test_a_tsdf_file_says_where_it_lies(scan: Path, tmp_path: Path, voxel: float
     assert {tuple(np.round(v, 9)) for v in mesh.vertices} <= {tuple(np.round(v, 9)) for v in vertices}
 
 
+@pytest.mark.parametrize("asked", [{"voxel": 0.01}, {"voxel": 5e-324}, {}])
+def test_a_dense_tsdf_that_is_too_large_is_refused_before_anything_is_fused(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, object]) -> None:
+    monkeypatch.setattr("ocnf_model.scan.outputs._MAX_DENSE", 30_000)
+    monkeypatch.setattr("ocnf_model.scan.run.reconstruct", lambda *_, **__: pytest.fail("it was fused"))
+    with pytest.raises(OcnfError, match=r"tsdf.npz: too large as a dense volume.*ends in .oc") as refused:
+        fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / "tsdf.npz", preview=tmp_path / "box.png",
+             reading={"frames": 2}, **asked)
+    assert refused.value.code == "too_large" and not list(tmp_path.iterdir())
+
+
 def test_a_write_that_fails_leaves_nothing_behind(scan: Path, tmp_path: Path,
                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> bytes:
