@@ -126,7 +126,7 @@ def to_metres(stored: npt.NDArray[Any], unit: float) -> F32:
 
     Nothing was measured at 0, at 65535 of whole numbers, and at NaN of floating-point ones.
     """
-    metres = (stored * np.float32(unit)).astype(np.float32)
+    metres = (stored * np.float32(unit)).astype(np.float32, copy=False)
     metres[stored == 65535 if stored.dtype.kind in "ui" else np.isnan(metres)] = 0
     return metres
 
