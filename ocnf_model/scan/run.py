@@ -135,7 +135,8 @@ def run_fuse(scan: str, asked: Asked, console: Console | None = None,
         pyramid = DepthPyramid(read.views)
         region = choose_region(read, pyramid, region, asked.room)
         lengths = " x ".join(f"{b - a:.3g}" for a, b in zip(region.low, region.high, strict=True))
-        what = "everything seen" if asked.room else "" if asked.box else "the largest object"
+        found = "the largest object" if read.cube is None else "the scan's own cube"
+        what = "everything seen" if asked.room else "" if asked.box else found
         stage.say(", ".join(part for part in (what, str(region), f"{lengths} m") if part))
     if asked.tsdf is not None:
         for fuser in fusers:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,7 +20,7 @@ from rich.console import Console
 
 from ocnf_data import GridOctree, octree_surface
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans import read_scan
+from ocnf_data.views.scans import Colour, read_scan
 from ocnf_model.scan.run import Asked, run_fuse
 from ocnf_model.scan.stages import StageLog
 
@@ -53,6 +55,22 @@ def test_the_preview_alone_needs_no_mesh_and_fuses_nothing(scan: Path, tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == ["box.png"] and "marching" not in said
     red = (cv2.imread(str(tmp_path / "box.png")).astype(int) - (0x21, 0x12, 0xC1))  # the box, three times
     assert (np.abs(red).max(axis=-1) < 12).sum() > 500
+
+
+def test_the_region_is_called_what_it_is_and_only_images_that_are_there_count(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = read_scan(scan, frames=4)
+    image = np.full((*read.views.size, 3), 90, np.uint8)
+    coloured = replace(read, colour=Colour([image, None, image, None], read.views.K))
+    for given, asked, what in ((replace(coloured, cube=((0.7, -1.2, 2.5), 0.46)), {"box": None},
+                                "the scan's own cube, box 0.47"),
+                               (coloured, {"box": None}, "the largest object, box "),
+                               (coloured, {}, "box 0.47"),
+                               (coloured, {"box": None, "room": True}, "everything seen, box ")):
+        monkeypatch.setattr("ocnf_model.scan.run.read_scan", lambda *_, scan=given, **__: scan)
+        said = fuse(scan, tmp_path / "mesh.ply", **asked)
+        assert re.search(r"^region .* s  (.*)", said, re.MULTILINE)[1].startswith(what)
+        assert "vertices from 2 images" in said
 
 
 @pytest.mark.parametrize("voxel", [None, 0.02])
