@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from numbers import Real
 
 import numpy as np
 
@@ -36,7 +37,7 @@ def estimate_bytes(views: Views, region: Region, voxel: float) -> float:
 
 def check_voxel(voxel: float) -> None:
     """Raise OcnfError unless it is the size of a voxel."""
-    if not (np.isfinite(voxel) and voxel > 0):
+    if not (isinstance(voxel, Real) and np.isfinite(voxel) and voxel > 0):
         raise OcnfError("not the size of a voxel", field="voxel", found=voxel, expected="metres, above 0")
 
 

@@ -72,3 +72,9 @@ def test_measured_points_are_gone_through_once(views: Views, monkeypatch: pytest
 def test_a_cube_of_too_few_voxels_names_the_resolution(views: Views) -> None:
     with pytest.raises(OcnfError, match=r"resolution: the voxels are too large.*8, expected 16 or more"):
         check_memory(views, Region.of_box((-0.4, -0.3, 0.7, 0.4, 0.3, 1.3)), None, 8)
+
+
+@pytest.mark.parametrize("voxel", ["0.01", 0.0, -1.0, np.nan])
+def test_what_is_no_size_of_a_voxel_is_refused(views: Views, voxel: object) -> None:
+    with pytest.raises(OcnfError, match="voxel: not the size of a voxel"):
+        check_memory(views, Region.of_box((-0.4, -0.3, 0.7, 0.4, 0.3, 1.3)), voxel, 256)

@@ -191,3 +191,5 @@ def test_what_lies_far_is_not_used_where_that_is_asked(scan: Path) -> None:
     assert near.max() <= 1.5 < depth.max()
     np.testing.assert_array_equal(near, np.where(depth > 1.5, 0, depth))
     assert limit_depth(read, None) is read
+    with pytest.raises(OcnfError, match=r"max_depth: not a depth; found 1.5, expected metres, above 0"):
+        limit_depth(read, "1.5")

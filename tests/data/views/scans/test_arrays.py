@@ -62,6 +62,14 @@ def test_poses_that_are_not_finite_or_not_rigid_are_refused_by_name(scene, bad: 
     ({"depth": np.ones((5, 48, 64), np.uint16), "depth_scale": 0.0}, "depth_scale: not a scale"),
     ({"depth_scale": -1000}, "depth_scale: not a scale"),
     ({"direction": "c2w"}, "direction: not a direction.*found c2w, expected camera-to-world or"),
+    ({"depth": [np.ones((48, 64)), np.ones((24, 32))]},
+     r"depth: not one array of numbers; found a list of shapes \(48, 64\), \(24, 32\), expected all of one"),
+    ({"colour": [np.zeros((48, 64, 3), np.uint8), np.zeros((24, 32, 3), np.uint8)]},
+     r"colour: not one array of numbers; found a list of shapes \(48, 64, 3\), \(24, 32, 3\)"),
+    ({"poses": [["a"]]}, "poses: not one array of numbers"),
+    ({"K": "pinhole"}, "K: not one array of numbers"),
+    ({"poses": [[1.0], [1.0, 2.0]]}, "poses: not one array of numbers"),
+    ({"depth_scale": "1000"}, "depth_scale: not a scale; found 1000, expected a number"),
     ({"axes": "OpenGL"}, "axes: not a convention of axes.*found OpenGL, expected opencv or opengl")])
 def test_arrays_that_do_not_fit(scene, change: dict[str, object], message: str) -> None:
     asked = {"depth": scene.depth, "K": K, "poses": scene.poses, **change}

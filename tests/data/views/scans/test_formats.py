@@ -390,3 +390,21 @@ def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
         (folder / f"frame-000001.{suffix}").rename(folder / f"frame-10.{suffix}")
         (folder / f"frame-000003.{suffix}").rename(folder / f"frame-9.{suffix}")
     assert read_scan(folder).names[-2:] == ("frame-9", "frame-10")
+
+
+@pytest.mark.parametrize(("asked", "message"), [
+    ({"every": 2.0}, "every: not a step; found 2.0"), ({"every": "2"}, "every: not a step; found 2,"),
+    ({"frames": "²"}, "frames: not a choice of frames; found ²"), ({"frames": "٣"}, "not a choice of frames"),
+    ({"frames": "9" * 5000}, "frames: not a choice of frames"), ({"frames": "٠:٣"}, "not a choice of frames"),
+    ({"frames": f"0:{'9' * 5000}"}, "frames: not a choice of frames"), ({"frames": 2.0}, "not a choice"),
+    ({"intrinsics": ("a", "b", "c", "d")}, "intrinsics: not intrinsics.*four numbers"),
+    ({"intrinsics": 525.0}, "intrinsics: not intrinsics.*four numbers"),
+    ({"intrinsics": (1, 2, 3)}, "intrinsics: not intrinsics.*four numbers"),
+    ({"pose_scale": "0.001"}, "pose_scale: not a scale"),
+    ({"depth_scale": "1000"}, "depth_scale: not a scale"),
+    ({"crop": ("1", "2", "3", "4")}, "crop: not a crop"), ({"crop": 3}, "crop: not a crop"),
+])
+def test_an_argument_of_another_kind_is_refused_by_name(write: Write, asked: dict, message: str) -> None:
+    with pytest.raises(OcnfError, match=message) as refused:
+        read_scan(write("7scenes"), **asked)
+    assert len(str(refused.value)) < 400
