@@ -354,6 +354,23 @@ def test_of_several_files_of_intrinsics_the_depths_holds(write: Write) -> None:
     assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.K[0, 0, 0] == 55
 
 
+@pytest.mark.parametrize(("name", "spoil", "fault"), [
+    ("open3d-json", _json("trajectory.json", lambda d: d["parameters"][2]["intrinsic"].pop("width")),
+     "not an image's size; found nanx48"),
+    ("open3d-json", _json("trajectory.json",
+                          lambda d: d["parameters"][0]["intrinsic"].update(intrinsic_matrix="none")),
+     "intrinsic_matrix: not a matrix of numbers"),
+    ("open3d", _edit("intrinsic.json", lambda text: text[:-9]), "not valid JSON"),
+])
+def test_a_camera_that_is_not_needed_may_be_malformed(write: Write, name: str, fault: str,
+                                                      spoil: Callable[[Path], None]) -> None:
+    folder = write(name)
+    spoil(folder)
+    with pytest.raises(OcnfError, match=fault):
+        read_scan(folder)
+    assert (read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.K[:, 0, 0] == 55).all()
+
+
 @pytest.mark.parametrize(("change", "fault"), [
     ({"w": None, "h": None}, "unknown size"), ({"w": 96, "h": 128}, "not the image scaled")])
 def test_a_capture_whose_intrinsics_cannot_be_scaled(write: Write, change: dict, fault: str) -> None:
