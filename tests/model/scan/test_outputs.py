@@ -51,7 +51,7 @@ def test_several_methods_each_have_their_files_and_one_picture(scan: Path, tmp_p
 
 
 def test_the_preview_alone_needs_no_mesh_and_fuses_nothing(scan: Path, tmp_path: Path) -> None:
-    said = fuse(scan, None, preview=tmp_path / "box.png")
+    said = fuse(scan, None, preview=tmp_path / "box.png", resolution=None)
     assert [path.name for path in tmp_path.iterdir()] == ["box.png"] and "marching" not in said
     red = (cv2.imread(str(tmp_path / "box.png")).astype(int) - (0x21, 0x12, 0xC1))  # the box, three times
     assert (np.abs(red).max(axis=-1) < 12).sum() > 500
@@ -170,6 +170,37 @@ def test_what_a_method_cannot_be_asked_for_is_refused_before_the_scan_is_read(
         method: str, asked: dict[str, object], message: str, tmp_path: Path) -> None:
     with pytest.raises(OcnfError, match=message):
         run_fuse(str(tmp_path / "no scan"), Asked(tmp_path / "mesh.ply", methods=[method], **asked))
+
+
+@pytest.mark.parametrize(("asked", "option"), [
+    ({"weight": 1.0, "methods": ["volfus"]}, "--weight"),
+    ({"weight": 1.0, "methods": ["network", "volfus"]}, "--weight"),
+    ({"device": "cpu", "methods": ["tvl1,volfus"]}, "--device"),
+    *(({name: value, "out": None, "preview": Path("box.png"), "methods": ["tvl1"]}, option)
+      for name, value, option in [
+          ("weight", 1.0, "--weight"), ("voxel", 0.01, "--voxel"), ("resolution", 64, "--resolution"),
+          ("faces", 100, "--faces"), ("keep_unseen", True, "--keep-unseen"),
+          ("keep_all", True, "--keep-all"), ("device", "cpu", "--device")]),
+])
+def test_an_option_without_effect_is_refused_by_name(asked: dict, option: str, tmp_path: Path,
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OcnfError, match=f"^{option}: it would have no effect: .*; found .*, expected no "
+                                        f"{option}"):
+        run_fuse("no scan", Asked(**{"out": Path("mesh.ply"), **asked}))
+
+
+@pytest.mark.parametrize("asked", [
+    {"weight": 1.0, "methods": ["tvl1"]}, {"weight": 1.0, "methods": ["network,tvl1"]},
+    {"device": "cpu", "methods": ["volfus", "ours"]}, {"methods": ["volfus"]}, {"methods": ["tvl1"]}, {},
+    {"out": None, "preview": Path("box.png"), "methods": ["volfus"]},
+    {"methods": ["volfus"], "voxel": 0.01, "resolution": 64, "faces": 100, "keep_all": True,
+     "keep_unseen": True, "room": True, "tsdf": Path("a.oc"), "preview": Path("box.png")},
+])
+def test_options_with_an_effect_and_defaults_are_taken(asked: dict, tmp_path: Path,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Asked(**{"out": Path("mesh.ply"), **asked}).check()
 
 
 def test_a_second_box_is_refused(scan: Path, tmp_path: Path) -> None:
