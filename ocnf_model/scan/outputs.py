@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import Store
-from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
+from ocnf_data.files.targets import check_file
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_model.scan.reconstruction import Reconstruction
 
@@ -25,15 +23,7 @@ def check_target(path: Path, suffixes: tuple[str, ...]) -> None:
     if path.suffix.lower() not in suffixes:
         raise OcnfError("cannot be written in this format", where=path, found=path.suffix or "no suffix",
                         expected=", ".join(suffixes))
-    if path.is_dir():
-        raise OcnfError("is a folder, not a file", code="io", where=path)
-    if path.exists() and not os.access(path, os.W_OK):  # it would be replaced, whatever its own permissions
-        raise OcnfError("the file is read-only", code="permission", where=path, fix="name another file")
-    folder = path.absolute().parent
-    while not folder.exists():
-        folder = folder.parent
-    with storage_errors(path), tempfile.TemporaryFile(dir=folder, prefix=TEMPORARY_PREFIX):
-        pass
+    check_file(path)
 
 
 def check_picture(path: Path) -> None:

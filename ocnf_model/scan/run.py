@@ -31,7 +31,7 @@ from ocnf_model.scan.outputs import (
 from ocnf_model.scan.reconstruction import Reconstruction
 from ocnf_model.scan.region import Region
 from ocnf_model.scan.stages import StageLog
-from ocnf_model.scan.tiles import grid_shape
+from ocnf_model.scan.tiles import tiled_shape
 
 _ALIASES = {"network": "ours"}
 _OF_FUSING = ("voxel", "resolution", "faces", "keep_unseen", "keep_all", "device", "weight")
@@ -214,7 +214,7 @@ def _shape(region: Region, voxel: float | None, resolution: int) -> tuple[int, i
     """Voxels (D, H, W) of the grid that will be fused, without going through the scan."""
     if voxel is None:
         return resolution, resolution, resolution
-    return grid_shape(region, max(voxel, 1e-9 * region.size))  # smaller ones are too many in any case
+    return tiled_shape(region, max(voxel, 1e-9 * region.size))  # smaller ones are too many in any case
 
 
 def _fuser(asked: Asked, method: Method) -> Fuser:

@@ -87,7 +87,7 @@ class Tiling:
         return join_trees((d, h, w), boxes)
 
 
-def grid_shape(region: Region, voxel: float) -> tuple[int, int, int]:
+def tiled_shape(region: Region, voxel: float) -> tuple[int, int, int]:
     """Voxels (D, H, W), multiples of 8, of the grid that covers a region's box and a margin around it."""
     lengths = np.subtract(region.high, region.low)[::-1] / voxel + _MARGIN
     d, h, w = (_TREE * math.ceil(n / _TREE) for n in lengths.tolist())
@@ -106,7 +106,7 @@ def plan_tiles(region: Region, voxel: float, resolution: int, overlap: int) -> T
     if overlap % _TREE or not 0 <= overlap <= resolution // 2:
         raise OcnfError("not an overlap of tiles", field="overlap", found=overlap,
                         expected=f"a multiple of 8, up to {resolution // 2}")
-    d, h, w = grid_shape(region, voxel)
+    d, h, w = tiled_shape(region, voxel)
     stride = resolution - overlap
     starts = []
     for n in (d, h, w):
