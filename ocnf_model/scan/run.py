@@ -34,7 +34,6 @@ from ocnf_model.scan.stages import StageLog
 from ocnf_model.scan.tiles import tiled_shape
 
 _ALIASES = {"network": "ours"}
-_OF_FUSING = ("voxel", "resolution", "faces", "keep_unseen", "keep_all", "device", "weight")
 
 
 @dataclass(frozen=True)
@@ -103,25 +102,12 @@ class Asked:
             check_faces(self.faces)
         if not self.chosen():
             raise OcnfError("no method", field="method", expected="ours, volfus or tvl1")
-        self._refuse_without_effect()
+        if self.weight is not None and Method.TVL1 not in self.chosen():
+            raise OcnfError("it would have no effect: tvl1 is not among the methods", field="--weight",
+                            found=self.weight, expected="no --weight")
         refuse_both(self.box, self.room)
         if self.voxel is not None:
             check_voxel(self.voxel)
-
-
-    def _refuse_without_effect(self) -> None:
-        """Refuse what is not its default and would not be looked at: to leave it out would look obeyed."""
-        methods = self.chosen()
-        idle = [("weight", "tvl1 is not among the methods")] if Method.TVL1 not in methods else []
-        if Method.OURS not in methods:
-            idle.append(("device", "the network is not among the methods, and only it runs on a device"))
-        if self.out is None:
-            idle = [(name, "nothing is fused without a mesh to write") for name in _OF_FUSING]
-        for name, reason in idle:
-            found, option = getattr(self, name), f"--{name.replace('_', '-')}"
-            if found != getattr(Asked, name):  # the default
-                raise OcnfError(f"it would have no effect: {reason}", field=option, found=found,
-                                expected=f"no {option}")
 
 
 def run_fuse(scan: str, asked: Asked, console: Console | None = None,
