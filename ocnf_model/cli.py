@@ -226,7 +226,8 @@ def fuse_command(
                              "MESH-METHOD each. May be left out with --preview.")] = None,
     box: Annotated[tuple[float, float, float, float, float, float] | None, typer.Option(
         metavar="X0 Y0 Z0 X1 Y1 Z1",
-        help="Region in the scan's coordinates, metres; the largest object if not given.")] = None,
+        help="Region in the scan's coordinates, metres. [the cube that the scan names, else the largest "
+             "object]")] = None,
     room: Annotated[bool, typer.Option("--room", help="Fuse everything that the frames see.")] = False,
     voxel: Annotated[float | None, typer.Option(
         metavar="METRES", help="Size of a voxel: the region is worked in as many cubes as that takes. [the "

@@ -155,6 +155,7 @@ BORROWED = """
     ocnf_data.files.storage
     ocnf_data.files.storage_errors
     ocnf_data.files.strict_yaml
+    ocnf_data.files.targets
     ocnf_data.files.validation
     ocnf_data.fusion
     ocnf_data.generation

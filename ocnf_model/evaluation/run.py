@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ocnf_data.files.storage import Store
+from ocnf_data.files.targets import check_file
 from ocnf_data.terminal import check_up
 from ocnf_model.checkpoint import SHIPPED, open_run, run_path
 from ocnf_model.devices import pick_device
@@ -32,6 +33,7 @@ __all__ = ["Evaluation", "evaluate", "run_choose_weight", "run_evaluate"]
 
 WEIGHTS_FILE = "tvl1.json"
 """Name of the file in a run's folder that holds TV-L1's weights, if no other file is named."""
+_TABLES = ("evaluation.md", "summary.csv", "models.csv")
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,9 @@ class Evaluation:
         `summary.csv` has the ceilings too, as the method `Ground truth`.
         """
         text = markdown(self.summaries, self.title, self.notes, self.ceilings)
-        files = {"evaluation.md": text.encode(),
-                 "summary.csv": to_csv([*self.summaries, *self.ceilings]).encode(),
-                 "models.csv": to_csv(self.rows).encode(), **self.figures}
+        tables = text, to_csv([*self.summaries, *self.ceilings]), to_csv(self.rows)
+        files = {**{name: table.encode() for name, table in zip(_TABLES, tables, strict=True)},
+                 **self.figures}
         store = Store(out)
         for name, content in files.items():
             store.put_bytes(name, content)
@@ -96,10 +98,16 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         html: a page to write, on which every model is shown in 3-D; None for none.
 
     Raises:
-        OcnfError: the data set lacks what a named method needs, or is damaged; the run does not fit.
+        OcnfError: the tables cannot be written; the data set lacks what a named method needs, or is damaged;
+            the run does not fit.
     """
     console = console or Console()
     check_up(up)
+    if out is None and run not in SHIPPED and run_path(run).is_dir():
+        out = run_path(run) / "evaluation" / split
+    if out is not None:
+        for name in _TABLES:
+            check_file(out / name)
     network, resolutions, page = None, None, None
     if html is not None:
         from ocnf_model.evaluation.page import EvaluationPage
@@ -111,8 +119,6 @@ def run_evaluate(run: str, data: str, *, split: str = "test", out: Path | None =
         network, resolutions = trained.network.to(pick_device(device)), trained.resolutions
     if weights is None and (kept := run_path(run) / WEIGHTS_FILE).exists():
         weights = kept
-    if out is None and run not in SHIPPED and run_path(run).is_dir():
-        out = run_path(run) / "evaluation" / split
     found = evaluate(network, data, resolutions=resolutions, split=split, methods=methods, weights=weights,
                      limit=limit, n_figures=n_figures if out is not None else 0, up=up, console=console,
                      meshes=meshes, page=page,

@@ -20,6 +20,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.files.storage_errors import storage_errors
+from ocnf_data.files.targets import check_file
 from ocnf_model.baselines import WeightChoice, choose_weight
 from ocnf_model.baselines.crossval import CANDIDATE_WEIGHTS
 from ocnf_model.evaluation.models import DatasetFacts, Models
@@ -58,8 +59,10 @@ def run_choose_weight(data: str, *, out: Path, resolutions: Sequence[int] | None
             none.
 
     Raises:
-        OcnfError: the data set lacks histograms, a TSDF, the resolution or the split; no grid of weights.
+        OcnfError: the file cannot be written; the data set lacks histograms, a TSDF, the resolution or the
+            split; no grid of weights.
     """
+    check_file(out)
     facts = DatasetFacts.read(data)
     if facts.is_occupancy:
         raise OcnfError("the weight is chosen by the TSDF's error", where=data, field="target",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+from numbers import Real
 
 import numpy as np
 
@@ -17,6 +19,7 @@ _BYTES_A_SURFACE_VOXEL = 1200
 which are there several times while marching cubes joins them and loose parts are dropped; as measured."""
 _BYTES_A_TREE = 60  # 16 of the tree, 8 of its place, some of these more than once
 _SHARE = 0.7  # of the machine's memory
+_FINEST = 1e-12  # of the region: what finer voxels take is too much for a float
 
 
 def estimate_bytes(views: Views, region: Region, voxel: float) -> float:
@@ -29,35 +32,78 @@ def estimate_bytes(views: Views, region: Region, voxel: float) -> float:
         region: its box counts.
         voxel: metres.
     """
-    points = measured_points(views)
-    lengths = np.subtract(region.high, region.low)
-    cell = float(lengths.max()) / _CELLS
-    cells = np.unique(np.floor((points[region.holds(points)] - region.low) / cell).astype(np.int64), axis=0)
-    surface = len(cells) * (cell / voxel) ** 2
-    trees = float(np.prod(lengths / voxel / 8 + 1))
-    return _BYTES_A_SURFACE_VOXEL * surface + _BYTES_A_TREE * trees
+    return _bytes(_area(views, region), region, voxel)
 
 
-def check_memory(views: Views, region: Region, voxel: float) -> None:
-    """Refuse a voxel size at which the surface does not fit into this machine's memory.
+def check_voxel(voxel: float) -> None:
+    """Raise OcnfError unless it is the size of a voxel."""
+    if not (isinstance(voxel, Real) and np.isfinite(voxel) and voxel > 0):
+        raise OcnfError("not the size of a voxel", field="voxel", found=voxel, expected="metres, above 0")
+
+
+def check_memory(views: Views, region: Region, voxel: float | None, resolution: int) -> None:
+    """Refuse voxels so small that the surface does not fit into this machine's memory, or too large ones.
+
+    Args:
+        views: the depth maps.
+        region: its box counts.
+        voxel: metres; None: the region is one cube of `resolution` voxels along each axis.
+        resolution: counts only then, and is what the message names.
 
     Raises:
         OcnfError: that, with the code `too_large`; or a size that is not one.
     """
     longest = float(np.subtract(region.high, region.low).max())
-    if not (np.isfinite(voxel) and voxel > 0):
-        raise OcnfError("not the size of a voxel", field="voxel", found=voxel, expected="metres, above 0")
-    if longest / voxel < 8:
-        raise OcnfError("the voxels are too large for the region", field="voxel", found=f"{voxel:g} m",
-                        expected=f"at most {longest / 8:.2g} m, an eighth of the region's longest side")
+    if voxel is not None:
+        check_voxel(voxel)
+    edge = region.size / resolution if voxel is None else voxel
+    field, found = ("resolution", f"{resolution}") if voxel is None else ("voxel", f"{voxel:g} m")
+    if longest / edge < 8:
+        most = f"at most {_two_digits(longest / 8):g} m, an eighth of the region's longest side"
+        raise OcnfError("the voxels are too large for the region", field=field, found=found,
+                        expected="16 or more" if voxel is None else most)
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    needed = estimate_bytes(views, region, voxel)
-    if needed > _SHARE * memory:
-        enough = voxel
-        while estimate_bytes(views, region, enough) > _SHARE * memory:
-            enough *= 1.1
+    limit, area = _SHARE * memory, _area(views, region)
+    needed = _bytes(area, region, edge)
+    if needed > limit:
+        fitting = _fitting(area, region, edge, limit)
+        fix = (f"--resolution {int(region.size / fitting) // 8 * 8} or less" if voxel is None else
+               f"--voxel {_two_digits(fitting, up=True):g} or more")
         raise OcnfError("the surface would not fit into memory at this voxel size", code="too_large",
-                        field="voxel", found=f"{voxel:g} m, about {needed / 1e9:,.0f} GB",
-                        expected=f"at most {_SHARE * memory / 1e9:,.0f} GB of this machine's "
-                                 f"{memory / 1e9:,.0f}",
-                        fix=f"take --voxel {enough:.2g} or more, or a smaller --box")
+                        field=field, found=f"{found}, about {math.ceil(needed / 1e8) / 10:,.1f} GB",
+                        expected=f"at most {math.floor(limit / 1e8) / 10:,.1f} GB of this machine's "
+                                 f"{memory / 1e9:,.1f}", fix=f"take {fix}, or a smaller --box")
+
+
+def _area(views: Views, region: Region) -> float:
+    """Square metres of the surface within a region, which takes all measured points: seconds."""
+    points = measured_points(views)
+    cell = float(np.subtract(region.high, region.low).max()) / _CELLS
+    cells = np.unique(np.floor((points[region.holds(points)] - region.low) / cell).astype(np.int64), axis=0)
+    return len(cells) * cell**2
+
+
+def _bytes(area: float, region: Region, voxel: float) -> float:
+    lengths = np.subtract(region.high, region.low)
+    voxel = max(voxel, _FINEST * float(lengths.max()))
+    trees = float(np.prod(lengths / voxel / 8 + 1))
+    return _BYTES_A_SURFACE_VOXEL * area / voxel**2 + _BYTES_A_TREE * trees
+
+
+def _fitting(area: float, region: Region, voxel: float, limit: float) -> float:
+    """About the smallest voxel, not below `voxel`, whose surface takes no more than `limit` bytes."""
+    voxel = max(voxel, _FINEST * region.size)
+    while _bytes(area, region, voxel) > limit:
+        voxel *= 1.1
+    return voxel
+
+
+def _two_digits(length: float, up: bool = False) -> float:
+    """A length with two digits, which is no larger than it is, or (`up`) no smaller."""
+    nearest = float(f"{length:.2g}")
+    step = 10.0 ** (math.floor(math.log10(length)) - 1)
+    if up and nearest < length:
+        nearest += step
+    elif not up and nearest > length:
+        nearest -= step
+    return float(f"{nearest:.2g}")

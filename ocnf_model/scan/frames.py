@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from numbers import Real
 
 import numpy as np
 
@@ -20,7 +21,7 @@ def limit_depth(scan: Scan, farthest: float | None) -> Scan:
     """
     if farthest is None:
         return scan
-    if not farthest > 0:  # NaN is refused too
+    if not (isinstance(farthest, Real) and farthest > 0):  # NaN is refused too
         raise OcnfError("not a depth", field="max_depth", found=farthest, expected="metres, above 0")
     depth = scan.views.depth
     near = np.where((depth <= farthest) | np.isinf(depth), depth, np.float32(0))

@@ -90,7 +90,7 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
     stages = stages or StageLog()
     if faces is not None:
         check_faces(faces)
-    check_memory(scan.views, region, region.size / fuser.resolution if voxel is None else voxel)
+    check_memory(scan.views, region, voxel, fuser.resolution)
     began = stages.total
     octrees, grid, truncation = _fuse(pyramid, fuser, region, voxel, stages, report)
     seconds = stages.total - began
@@ -123,7 +123,8 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
     if scan.colour is not None:
         with stages.stage("colour") as stage:
             colours = vertex_colours(vertices, scan, truncation, vertex_normals(vertices, triangles))[0]
-            stage.say(f"{len(vertices):,} vertices from {len(scan.views)} images")
+            images = sum(image is not None for image in scan.colour.images)
+            stage.say(f"{len(vertices):,} vertices from {images} images")
     return Reconstruction(vertices, triangles, octrees, grid, truncation, seconds,
                           (*scan.notes, *scan.warnings), colours, loose, str(fuser.method))
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import Store
-from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
+from ocnf_data.files.targets import check_file
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_model.scan.reconstruction import Reconstruction
 
@@ -25,15 +23,7 @@ def check_target(path: Path, suffixes: tuple[str, ...]) -> None:
     if path.suffix.lower() not in suffixes:
         raise OcnfError("cannot be written in this format", where=path, found=path.suffix or "no suffix",
                         expected=", ".join(suffixes))
-    if path.is_dir():
-        raise OcnfError("is a folder, not a file", code="io", where=path)
-    if path.exists() and not os.access(path, os.W_OK):  # it would be replaced, whatever its own permissions
-        raise OcnfError("the file is read-only", code="permission", where=path, fix="name another file")
-    folder = path.absolute().parent
-    while not folder.exists():
-        folder = folder.parent
-    with storage_errors(path), tempfile.TemporaryFile(dir=folder, prefix=TEMPORARY_PREFIX):
-        pass
+    check_file(path)
 
 
 def check_picture(path: Path) -> None:
@@ -43,6 +33,14 @@ def check_picture(path: Path) -> None:
         import matplotlib  # noqa: F401
     except ImportError as error:
         raise missing_extra("pictures need matplotlib", "fuse") from error
+
+
+def check_dense(path: Path, shape: tuple[int, ...]) -> None:
+    """Raise OcnfError where a grid (D, H, W) is too large for a file of this name: `.npz` is dense."""
+    if path.suffix.lower() == ".npz" and np.prod(shape, dtype=float) > _MAX_DENSE:
+        raise OcnfError("too large as a dense volume", code="too_large", where=path,
+                        found=f"{shape} voxels", expected=f"at most {_MAX_DENSE:,}",
+                        fix="write an octree, to a name that ends in .oc")
 
 
 def mesh_suffixes() -> tuple[str, ...]:
@@ -72,9 +70,7 @@ def save_tsdf(result: Reconstruction, path: Path) -> None:
                    "truncation": result.truncation}
         store.put_bytes(path.with_suffix(".json").name, json.dumps(placing, indent=1).encode())
         return
-    if np.prod(octree.shape, dtype=float) > _MAX_DENSE:
-        raise OcnfError("too large as a dense volume", code="too_large", where=path,
-                        found=f"{octree.shape} voxels", fix="write an octree, to a name that ends in .oc")
+    check_dense(path, octree.shape)
     with store.writing(path.name) as file, file.open("wb") as stream:
         np.savez_compressed(stream, tsdf=octree.to_dense()[0], first=first, voxel=voxel,
                             truncation=result.truncation)

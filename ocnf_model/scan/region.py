@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -61,8 +62,10 @@ class Region:
         return x, y, z
 
     def __str__(self) -> str:
-        """The box as `--box` takes it."""
-        return "box " + " ".join(f"{c:.4g}" for c in (*self.low, *self.high))
+        """The box as `--box` takes it, to a tenth of a millimetre, and of one below 0.1 m more finely."""
+        longest = float(np.subtract(self.high, self.low).max())
+        digits = min(max(4, 3 - math.floor(math.log10(longest))), 15)  # after the point
+        return "box " + " ".join(f"{round(c, digits) + 0.0:.15g}" for c in (*self.low, *self.high))  # no -0
 
     def holds(self, points: F64) -> Bool:
         """Which of the points (N, 3) lie in the box."""

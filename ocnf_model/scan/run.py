@@ -15,14 +15,23 @@ from ocnf_data.views.scans import Scan, read_scan
 from ocnf_model.checkpoint import open_run
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.methods import Method, default_weight, parse_methods
+from ocnf_model.scan.budget import check_voxel
 from ocnf_model.scan.components import check_faces
 from ocnf_model.scan.frames import limit_depth
 from ocnf_model.scan.fuse import choose_region, reconstruct, refuse_both
 from ocnf_model.scan.fusers import Baseline, Fuser, Learned
-from ocnf_model.scan.outputs import TSDF_SUFFIXES, check_picture, check_target, mesh_suffixes, save_tsdf
+from ocnf_model.scan.outputs import (
+    TSDF_SUFFIXES,
+    check_dense,
+    check_picture,
+    check_target,
+    mesh_suffixes,
+    save_tsdf,
+)
 from ocnf_model.scan.reconstruction import Reconstruction
 from ocnf_model.scan.region import Region
 from ocnf_model.scan.stages import StageLog
+from ocnf_model.scan.tiles import tiled_shape
 
 _ALIASES = {"network": "ours"}
 
@@ -93,7 +102,12 @@ class Asked:
             check_faces(self.faces)
         if not self.chosen():
             raise OcnfError("no method", field="method", expected="ours, volfus or tvl1")
+        if self.weight is not None and Method.TVL1 not in self.chosen():
+            raise OcnfError("it would have no effect: tvl1 is not among the methods", field="--weight",
+                            found=self.weight, expected="no --weight")
         refuse_both(self.box, self.room)
+        if self.voxel is not None:
+            check_voxel(self.voxel)
 
 
 def run_fuse(scan: str, asked: Asked, console: Console | None = None,
@@ -124,8 +138,12 @@ def run_fuse(scan: str, asked: Asked, console: Console | None = None,
         pyramid = DepthPyramid(read.views)
         region = choose_region(read, pyramid, region, asked.room)
         lengths = " x ".join(f"{b - a:.3g}" for a, b in zip(region.low, region.high, strict=True))
-        what = "everything seen" if asked.room else "" if asked.box else "the largest object"
+        found = "the largest object" if read.cube is None else "the scan's own cube"
+        what = "everything seen" if asked.room else "" if asked.box else found
         stage.say(", ".join(part for part in (what, str(region), f"{lengths} m") if part))
+    if asked.tsdf is not None:
+        for fuser in fusers:
+            check_dense(asked.tsdf, _shape(region, asked.voxel, fuser.resolution))
     if asked.preview is not None:  # before hours of fusing, so that it can be looked at
         from ocnf_model.scan.preview import draw_preview
 
@@ -176,6 +194,13 @@ def _write(asked: Asked, results: Sequence[Reconstruction], scan: Scan, stages: 
         lines[-1] += f", {stages.total:.1f} s in all, {results[-1].region}"
         for line in lines:
             stages.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _shape(region: Region, voxel: float | None, resolution: int) -> tuple[int, int, int]:
+    """Voxels (D, H, W) of the grid that will be fused, without going through the scan."""
+    if voxel is None:
+        return resolution, resolution, resolution
+    return tiled_shape(region, max(voxel, 1e-9 * region.size))  # smaller ones are too many in any case
 
 
 def _fuser(asked: Asked, method: Method) -> Fuser:

@@ -87,6 +87,13 @@ class Tiling:
         return join_trees((d, h, w), boxes)
 
 
+def tiled_shape(region: Region, voxel: float) -> tuple[int, int, int]:
+    """Voxels (D, H, W), multiples of 8, of the grid that covers a region's box and a margin around it."""
+    lengths = np.subtract(region.high, region.low)[::-1] / voxel + _MARGIN
+    d, h, w = (_TREE * math.ceil(n / _TREE) for n in lengths.tolist())
+    return d, h, w
+
+
 def plan_tiles(region: Region, voxel: float, resolution: int, overlap: int) -> Tiling:
     """Cover a region with tiles.
 
@@ -99,8 +106,7 @@ def plan_tiles(region: Region, voxel: float, resolution: int, overlap: int) -> T
     if overlap % _TREE or not 0 <= overlap <= resolution // 2:
         raise OcnfError("not an overlap of tiles", field="overlap", found=overlap,
                         expected=f"a multiple of 8, up to {resolution // 2}")
-    lengths = np.subtract(region.high, region.low)[::-1] / voxel + _MARGIN
-    d, h, w = (_TREE * math.ceil(n / _TREE) for n in lengths.tolist())
+    d, h, w = tiled_shape(region, voxel)
     stride = resolution - overlap
     starts = []
     for n in (d, h, w):

@@ -123,16 +123,20 @@ def _refuse(said: Said, place: str) -> None:
 def _four(intrinsics: Sequence[float] | None) -> tuple[float, float, float, float] | None:
     if intrinsics is None:
         return None
-    if len(intrinsics) != 4:
-        raise OcnfError("not intrinsics", where="read_scan", field="intrinsics", found=tuple(intrinsics),
-                        expected="four numbers: fx, fy, cx, cy in pixels")
-    fx, fy, cx, cy = (float(value) for value in intrinsics)
+    try:
+        fx, fy, cx, cy = (float(value) for value in intrinsics)
+    except (TypeError, ValueError) as error:
+        raise OcnfError("not intrinsics", where="read_scan", field="intrinsics", found=intrinsics,
+                        expected="four numbers: fx, fy, cx, cy in pixels") from error
     return fx, fy, cx, cy
 
 
 def _whole(crop: Sequence[int]) -> tuple[int, int, int, int]:
-    if len(crop) != 4 or any(not math.isfinite(n) or n != int(n) for n in crop):
-        raise OcnfError("not a crop", where="read_scan", field="crop", found=tuple(crop),
-                        expected="pixels (left, top, right, bottom)")
-    left, top, right, bottom = (int(n) for n in crop)
+    try:
+        if any(not math.isfinite(n) or n != int(n) for n in crop):
+            raise ValueError
+        left, top, right, bottom = (int(n) for n in crop)
+    except (TypeError, ValueError) as error:
+        raise OcnfError("not a crop", where="read_scan", field="crop", found=crop,
+                        expected="pixels (left, top, right, bottom)") from error
     return left, top, right, bottom

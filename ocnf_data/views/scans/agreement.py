@@ -4,7 +4,9 @@ A pose that is taken the wrong way round, a trajectory in millimetres, a wrong d
 intrinsics give no error by themselves: they give a surface that is fog. So depth of frame i is put into
 frame j, for pairs that are near in order: where both measured something, either they agree (within 3 %
 of the distance, or 3 cm), or one of them sees past the other. Surfaces hidden from one of them disagree
-rightly; but in a scan that is read rightly most depths agree, and under a wrong reading few do.
+rightly; but in a scan that is read rightly most depths agree, and under a wrong reading few do. What is
+round and turns about the origin agrees with the poses the other way round too, even better where frames are
+few; but under the right poses no frame sees past what another has measured.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ _TOLERANCE, _LEAST = 0.03, 0.03  # of the distance; metres
 _ENOUGH = 200  # depths to compare; fewer say nothing
 _FEW = 0.3  # less than this share agreeing is worth a warning
 _BETTER = 0.1  # another reading has to agree by this much more to be named
-_MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under it to be sure
+_PAST = 0.05  # poses are in doubt if more than this share is seen past; under wrong ones it is 10 to 40 %
+_MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under another reading to be sure of it
+_SAMPLE = 100_000  # depths that the typical one is of
 
 
 @dataclass(frozen=True)
@@ -38,12 +42,14 @@ class Agreement:
         share: share of the compared depths that agree, 0 to 1; NaN where nothing was compared.
         inverse: the share if the poses were meant the other way round.
         millimetres: the share if the translations were millimetres.
+        past: share of the compared depths that the other frame sees past: it has measured what lies behind.
     """
 
     compared: int
     share: float
     inverse: float
     millimetres: float
+    past: float
 
     def __str__(self) -> str:
         """Both figures, as a clause."""
@@ -63,11 +69,11 @@ def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
     to_world[:, :3, 3] = views.centres
     small = to_world.copy()
     small[:, :3, 3] *= _MILLIMETRES
-    compared, share = _share(views, to_world)
+    compared, share, past = _share(views, to_world)
     flip = FLIP if axes is Axes.OPENGL else np.eye(4)
-    _, inverse = _share(views, np.linalg.inv(to_world @ flip) @ flip)
-    _, millimetres = _share(views, small)
-    return Agreement(compared, share, inverse, millimetres)
+    _, inverse, _ = _share(views, np.linalg.inv(to_world @ flip) @ flip)
+    _, millimetres, _ = _share(views, small)
+    return Agreement(compared, share, inverse, millimetres, past)
 
 
 def judge(found: Agreement, views: Views, where: object) -> list[str]:
@@ -76,9 +82,7 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     Raises:
         OcnfError: the translations are in millimetres.
     """
-    spread = float(np.ptp(views.centres, axis=0).max())
-    depth = views.depth[np.isfinite(views.depth) & (views.depth > 0)]
-    typical = float(np.median(depth)) if depth.size else 1.0
+    spread, typical = float(np.ptp(views.centres, axis=0).max()), _typical(views)
     weak = not found.share >= _FEW  # NaN is weak
     if weak and found.millimetres > _SURE and spread > 20 * typical:
         raise OcnfError(
@@ -89,7 +93,8 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
             expected="metres", fix="give the pose scale 0.001 if they are")
     if len(views) < 2:
         return []
-    if found.inverse > np.nan_to_num(found.share) + _BETTER:
+    doubtful = found.compared < _ENOUGH or found.past > _PAST
+    if doubtful and found.inverse >= _SURE and found.inverse > np.nan_to_num(found.share) + _BETTER:
         return [f"the poses may be meant the other way round: {found}"]
     if found.compared < _ENOUGH:
         return [f"neighbouring frames hardly overlap ({found.compared} depths could be compared; {found}), "
@@ -99,14 +104,22 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     return []
 
 
-def _share(views: Views, to_world: F64) -> tuple[int, float]:
-    """(depths compared, share of them that agree) over the pairs; the share is NaN where there are none."""
-    n_agree = n_compared = 0
+def _typical(views: Views) -> float:
+    """The median of some of the depths, spread over all views; 1 m where nothing was measured."""
+    step = max(1, int(np.sqrt(views.depth.size / _SAMPLE)))
+    depth = views.depth[:, ::step, ::step]
+    depth = depth[np.isfinite(depth) & (depth > 0)]
+    return float(np.median(depth)) if depth.size else 1.0
+
+
+def _share(views: Views, to_world: F64) -> tuple[int, float, float]:
+    """(depths compared, share of them that agree, that are seen past) over the pairs; NaN where none is."""
+    counts = np.zeros(3, np.int64)
     to_camera = np.linalg.inv(to_world)
     for i, j in _pairs(len(views)):
-        near, compared = _compare(views, i, j, to_camera[j] @ to_world[i])
-        n_agree, n_compared = n_agree + near, n_compared + compared
-    return n_compared, n_agree / n_compared if n_compared else float("nan")
+        counts += _compare(views, i, j, to_camera[j] @ to_world[i])
+    near, past, compared = counts.tolist()
+    return (compared, near / compared, past / compared) if compared else (0, float("nan"), float("nan"))
 
 
 def _pairs(n: int) -> list[tuple[int, int]]:
@@ -114,8 +127,8 @@ def _pairs(n: int) -> list[tuple[int, int]]:
     return pairs[:: max(1, -(-len(pairs) // _PAIRS))]
 
 
-def _compare(views: Views, i: int, j: int, between: F64) -> tuple[int, int]:
-    """(how many agree, how many can be compared) of frame i's depths put into frame j by `between`."""
+def _compare(views: Views, i: int, j: int, between: F64) -> tuple[int, int, int]:
+    """How many of frame i's depths, put into frame j by `between`, agree, are seen past, can be compared."""
     height, width = views.size
     step = max(1, int(np.sqrt(height * width / _POINTS)))
     v, u = (axis.ravel() for axis in np.mgrid[step // 2 : height : step, step // 2 : width : step])
@@ -132,8 +145,8 @@ def _compare(views: Views, i: int, j: int, between: F64) -> tuple[int, int]:
     measured = views.depth[j, row[inside].astype(np.int64), column[inside].astype(np.int64)]
     z = z[inside]
     known = (measured > 0) & np.isfinite(measured)
-    off = np.abs(measured - z)[known]
-    return int((off <= np.maximum(_TOLERANCE * z[known], _LEAST)).sum()), int(known.sum())
+    behind, allowed = (measured - z)[known], np.maximum(_TOLERANCE * z[known], _LEAST)
+    return int((np.abs(behind) <= allowed).sum()), int((behind > allowed).sum()), int(known.sum())
 
 
 def _percent(share: float) -> str:

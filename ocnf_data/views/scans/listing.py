@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Real
 from pathlib import Path
 from typing import TypeVar
 
@@ -152,7 +153,7 @@ def check_scale(value: float, where: object, field: str) -> float:
     Raises:
         OcnfError: it is not.
     """
-    if not (np.isfinite(value) and value > 0):
+    if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
         raise OcnfError("not a scale", where=where, field=field, found=value, expected="a number above 0")
     return value
 

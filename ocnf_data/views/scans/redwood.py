@@ -58,7 +58,8 @@ def _read(folder: Path, given: bool) -> Listing:
     depths = list(numbered(folder / "depth", {".png"}).values())
     if not depths:
         raise OcnfError("holds no frames", code="empty", where=folder, expected="depth/*.png")
-    whole = [(file, read_json(file)) for file in _jsons(folder)]
+    whole = [(file, own_intrinsics(partial(read_json, file), given and "traj" not in file.name) or {})
+             for file in _jsons(folder)]
     logs = _trajectories(folder)
     trajectories = [*logs, *(file for file, data in whole if data.get("class_name") == _TRAJECTORY)]
     if len(trajectories) != 1:
@@ -67,7 +68,7 @@ def _read(folder: Path, given: bool) -> Listing:
                         found=", ".join(file.name for file in trajectories) or "none",
                         expected="a .log, a .txt with `traj` in its name, or Open3D's trajectory .json")
     file = trajectories[0]
-    poses, matrices = (_log(file), []) if logs else _camera_list(file, dict(whole)[file])
+    poses, matrices = (_log(file), []) if logs else _camera_list(file, dict(whole)[file], given)
     if len(poses) != len(depths):
         raise OcnfError("poses and depth maps belong together by order, but differ in number", where=file,
                         found=f"{len(poses)} poses, {len(depths)} depth maps")
@@ -98,7 +99,7 @@ def _log(file: Path) -> list[F64]:
     return poses
 
 
-def _camera_list(file: Path, data: dict[str, Any]) -> tuple[list[F64], list[tuple[F64, tuple[int, int]]]]:
+def _camera_list(file: Path, data: dict[str, Any], given: bool) -> tuple[list[F64], list[_Camera | None]]:
     """Poses, world to camera, and intrinsics of Open3D's trajectory JSON."""
     cameras = data.get("parameters")
     if not isinstance(cameras, list) or not all(isinstance(camera, dict) for camera in cameras):
@@ -106,7 +107,8 @@ def _camera_list(file: Path, data: dict[str, Any]) -> tuple[list[F64], list[tupl
     poses = [json_array(camera.get("extrinsic"), (4, 4), file, f"parameters[{i}].extrinsic").T
              for i, camera in enumerate(cameras)]
     found = [camera.get("intrinsic") for camera in cameras]
-    own = [_intrinsics(file, camera) for camera in found if isinstance(camera, dict)]
+    own = [own_intrinsics(partial(_intrinsics, file, camera), given)
+           for camera in found if isinstance(camera, dict)]
     return poses, own if len(own) == len(poses) else []
 
 
@@ -138,7 +140,7 @@ def _intrinsics(file: Path, data: dict[str, Any]) -> tuple[F64, tuple[int, int]]
     K = json_array(data.get("intrinsic_matrix"), (3, 3), file, "intrinsic_matrix").T
     height, width = json_array([data.get("height"), data.get("width")], (2,), file, "height and width")
     if not np.isfinite([height, width]).all():
-        raise OcnfError("not an image's size", where=file, found=[height, width])
+        raise OcnfError("not an image's size", where=file, found=f"{width:g}x{height:g}")
     return K, (int(height), int(width))
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from numbers import Integral
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.rigs import view_subset
 
-_RANGE = re.compile(r"(\d*):(\d*)(?::(\d+))?")
+_NUMBER = re.compile(r"[0-9]{1,18}")
+_RANGE = re.compile(r"([0-9]{0,18}):([0-9]{0,18})(?::([0-9]{1,18}))?")
 
 
 def choose(n: int, frames: str | int | None = None, every: int = 1) -> list[int]:
@@ -23,10 +25,10 @@ def choose(n: int, frames: str | int | None = None, every: int = 1) -> list[int]
     ([0, 124, 249], [100, 105, 110, 115], [0, 4, 8])
 
     Raises:
-        OcnfError: `frames` is neither, or beyond the n frames; `every` is not positive; or nothing is left
-            (`empty`).
+        OcnfError: `frames` is neither, or beyond the n frames; `every` is no whole number above 0; or nothing
+            is left (`empty`).
     """
-    if every < 1:
+    if not isinstance(every, Integral) or every < 1:
         raise OcnfError("not a step", where="read_scan", field="every", found=every, expected="1 or more")
     chosen = list(_chosen(n, frames))[::every]
     if not chosen:
@@ -39,7 +41,7 @@ def _chosen(n: int, frames: str | int | None) -> range | list[int]:
     if frames is None:
         return range(n)
     text = str(frames).strip()
-    if text.isdigit() and int(text) > 0:
+    if _NUMBER.fullmatch(text) and int(text) > 0:
         if int(text) > n:
             raise _too_few(n, text)
         return [int(i) for i in view_subset(n, int(text))]

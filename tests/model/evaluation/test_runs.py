@@ -14,7 +14,7 @@ from ocnf_data.manifest import Manifest
 from ocnf_data.shards.dataset import load_dataset
 from ocnf_model import OctNetFusion
 from ocnf_model.checkpoint import save_checkpoint
-from ocnf_model.evaluation.run import run_evaluate
+from ocnf_model.evaluation.run import run_choose_weight, run_evaluate
 from ocnf_model.header import Architecture, Header, TrainingData
 from ocnf_model.scan.run import Asked, run_fuse
 
@@ -65,6 +65,31 @@ def test_weights_chosen_on_other_data_are_said(data: dict[str, str], tiny: str, 
 def test_an_axis_that_cannot_point_up_is_refused(tiny: str) -> None:
     with pytest.raises(OcnfError, match="not an axis that can point up; found x"):
         run_evaluate("pretrained", tiny, methods=["volfus"], up="x")
+
+
+@pytest.mark.parametrize(("out", "message"), [
+    ("file", "file/evaluation.md: a part of the path is a file, not a folder"),
+    ("file/new", "a part of the path is a file, not a folder"),
+    ("folder", "folder/summary.csv: is a folder, not a file"), ("/proc/new", "/proc/new/evaluation.md: "),
+])
+def test_where_tables_cannot_be_written_nothing_is_evaluated(tmp_path: Path, out: str, message: str) -> None:
+    (tmp_path / "folder" / "summary.csv").mkdir(parents=True)
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(OcnfError, match=message):
+        run_evaluate("pretrained", str(tmp_path / "no data"), out=tmp_path / out, html=tmp_path / "page.html")
+    make_run(tmp_path / "run")
+    (tmp_path / "run" / "evaluation").write_text("a file in the way")
+    with pytest.raises(OcnfError, match=r"run/evaluation/test/evaluation\.md: a part of the path is a file"):
+        run_evaluate(str(tmp_path / "run"), str(tmp_path / "no data"))
+
+
+@pytest.mark.parametrize(("out", "message"), [
+    ("folder", "folder: is a folder, not a file"), ("file/w.json", "a part of the path is a file")])
+def test_where_weights_cannot_be_written_none_is_chosen(tmp_path: Path, out: str, message: str) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(OcnfError, match=message):
+        run_choose_weight(str(tmp_path / "no data"), out=tmp_path / out)
 
 
 def test_a_run_of_another_truncation_is_refused(tiny: str, tmp_path: Path) -> None:

@@ -165,6 +165,19 @@ def test_observed_by_hand() -> None:
     assert found.tolist() == [expected for _, expected in cases]
 
 
+@pytest.mark.parametrize(("box", "printed"), [
+    ((1234.5678, -0.0, 0.25, 1235.5, 3.0, 2.25), "box 1234.5678 0 0.25 1235.5 3 2.25"),
+    ((0.1 + 0.2, -1 / 3, -7.0, 20.0, 1e-7, 7.0), "box 0.3 -0.3333 -7 20 0 7"),
+    ((400.001234567, 0.0, 0.0, 400.009, 0.01, 0.02), "box 400.00123 0 0 400.009 0.01 0.02"),
+    ((5123456.7891, -1e30, 0.0, 5123457.8, 1.0, 1.0), "box 5123456.7891 -1e+30 0 5123457.8 1 1"),
+])
+def test_the_printed_box_gives_the_region_again(box: tuple[float, ...], printed: str) -> None:
+    region = Region.of_box(box)
+    assert str(region) == printed
+    again = Region.of_box([float(word) for word in printed.split()[1:]])
+    np.testing.assert_allclose([*again.low, *again.high], box, atol=1e-3 * min(region.size, 0.1))
+
+
 def test_frames_that_all_look_away_are_said_to(scan: Path, tmp_path: Path) -> None:
     read = read_scan(scan)
     away = Views(read.views.depth, read.views.K, np.diag([-1.0, 1, -1]) @ read.views.R,

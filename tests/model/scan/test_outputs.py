@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,7 +20,7 @@ from rich.console import Console
 
 from ocnf_data import GridOctree, octree_surface
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans import read_scan
+from ocnf_data.views.scans import Colour, read_scan
 from ocnf_model.scan.run import Asked, run_fuse
 from ocnf_model.scan.stages import StageLog
 
@@ -49,10 +51,26 @@ def test_several_methods_each_have_their_files_and_one_picture(scan: Path, tmp_p
 
 
 def test_the_preview_alone_needs_no_mesh_and_fuses_nothing(scan: Path, tmp_path: Path) -> None:
-    said = fuse(scan, None, preview=tmp_path / "box.png")
+    said = fuse(scan, None, preview=tmp_path / "box.png", resolution=None)
     assert [path.name for path in tmp_path.iterdir()] == ["box.png"] and "marching" not in said
     red = (cv2.imread(str(tmp_path / "box.png")).astype(int) - (0x21, 0x12, 0xC1))  # the box, three times
     assert (np.abs(red).max(axis=-1) < 12).sum() > 500
+
+
+def test_the_region_is_called_what_it_is_and_only_images_that_are_there_count(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = read_scan(scan, frames=4)
+    image = np.full((*read.views.size, 3), 90, np.uint8)
+    coloured = replace(read, colour=Colour([image, None, image, None], read.views.K))
+    for given, asked, what in ((replace(coloured, cube=((0.7, -1.2, 2.5), 0.46)), {"box": None},
+                                "the scan's own cube, box 0.47"),
+                               (coloured, {"box": None}, "the largest object, box "),
+                               (coloured, {}, "box 0.47"),
+                               (coloured, {"box": None, "room": True}, "everything seen, box ")):
+        monkeypatch.setattr("ocnf_model.scan.run.read_scan", lambda *_, scan=given, **__: scan)
+        said = fuse(scan, tmp_path / "mesh.ply", **asked)
+        assert re.search(r"^region .* s  (.*)", said, re.MULTILINE)[1].startswith(what)
+        assert "vertices from 2 images" in said
 
 
 @pytest.mark.parametrize("voxel", [None, 0.02])
@@ -78,6 +96,17 @@ def test_a_tsdf_file_says_where_it_lies(scan: Path, tmp_path: Path, voxel: float
     vertices, _ = octree_surface(octree, placing["voxel"] * max(octree.shape), centre=tuple(middle))
     mesh = trimesh.load(tmp_path / "mesh.ply")
     assert {tuple(np.round(v, 9)) for v in mesh.vertices} <= {tuple(np.round(v, 9)) for v in vertices}
+
+
+@pytest.mark.parametrize("asked", [{"voxel": 0.01}, {"voxel": 5e-324}, {}])
+def test_a_dense_tsdf_that_is_too_large_is_refused_before_anything_is_fused(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, object]) -> None:
+    monkeypatch.setattr("ocnf_model.scan.outputs._MAX_DENSE", 30_000)
+    monkeypatch.setattr("ocnf_model.scan.run.reconstruct", lambda *_, **__: pytest.fail("it was fused"))
+    with pytest.raises(OcnfError, match=r"tsdf.npz: too large as a dense volume.*ends in .oc") as refused:
+        fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / "tsdf.npz", preview=tmp_path / "box.png",
+             reading={"frames": 2}, **asked)
+    assert refused.value.code == "too_large" and not list(tmp_path.iterdir())
 
 
 def test_a_write_that_fails_leaves_nothing_behind(scan: Path, tmp_path: Path,
@@ -143,6 +172,25 @@ def test_what_a_method_cannot_be_asked_for_is_refused_before_the_scan_is_read(
         run_fuse(str(tmp_path / "no scan"), Asked(tmp_path / "mesh.ply", methods=[method], **asked))
 
 
+@pytest.mark.parametrize("methods", [["volfus"], ["network", "volfus"]])
+def test_a_weight_without_tvl1_is_refused(methods: list[str], tmp_path: Path) -> None:
+    with pytest.raises(OcnfError, match="^--weight: it would have no effect: .*; found 1.0, expected no"):
+        run_fuse("no scan", Asked(tmp_path / "mesh.ply", weight=1.0, methods=methods))
+
+
+@pytest.mark.parametrize("asked", [
+    {"weight": 1.0, "methods": ["tvl1"]}, {"weight": 1.0, "methods": ["network,tvl1"]},
+    {"device": "cpu", "methods": ["volfus"]}, {"methods": ["tvl1"]}, {},
+    {"out": None, "preview": Path("box.png"), "methods": ["volfus"], "resolution": 64},
+    {"methods": ["volfus"], "voxel": 0.01, "resolution": 64, "faces": 100, "keep_all": True,
+     "keep_unseen": True, "room": True, "tsdf": Path("a.oc"), "preview": Path("box.png")},
+])
+def test_a_command_may_lose_its_output_or_change_its_methods(asked: dict, tmp_path: Path,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Asked(**{"out": Path("mesh.ply"), **asked}).check()
+
+
 def test_a_second_box_is_refused(scan: Path, tmp_path: Path) -> None:
     boxes = ["--box", *map(str, BOX)] * 2
     done = subprocess.run([sys.executable, "-m", "ocnf_model.cli", "fuse", "pretrained", str(scan), *boxes,
@@ -162,3 +210,5 @@ def test_what_lies_far_is_not_used_where_that_is_asked(scan: Path) -> None:
     assert near.max() <= 1.5 < depth.max()
     np.testing.assert_array_equal(near, np.where(depth > 1.5, 0, depth))
     assert limit_depth(read, None) is read
+    with pytest.raises(OcnfError, match=r"max_depth: not a depth; found 1.5, expected metres, above 0"):
+        limit_depth(read, "1.5")

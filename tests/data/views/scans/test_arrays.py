@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Colour, Scan
+from ocnf_data.views.scans.agreement import Agreement, agreement, judge
 from ocnf_data.views.scans.tum import associate
 from ocnf_data.views.scans.vertex_colour import vertex_colours, vertex_normals
+
+from .conftest import look
 
 K = [[55.0, 0, 31.2], [0, 56.0, 23.4], [0, 0, 1]]
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -56,6 +62,14 @@ def test_poses_that_are_not_finite_or_not_rigid_are_refused_by_name(scene, bad: 
     ({"depth": np.ones((5, 48, 64), np.uint16), "depth_scale": 0.0}, "depth_scale: not a scale"),
     ({"depth_scale": -1000}, "depth_scale: not a scale"),
     ({"direction": "c2w"}, "direction: not a direction.*found c2w, expected camera-to-world or"),
+    ({"depth": [np.ones((48, 64)), np.ones((24, 32))]},
+     r"depth: not one array of numbers; found a list of shapes \(48, 64\), \(24, 32\), expected all of one"),
+    ({"colour": [np.zeros((48, 64, 3), np.uint8), np.zeros((24, 32, 3), np.uint8)]},
+     r"colour: not one array of numbers; found a list of shapes \(48, 64, 3\), \(24, 32, 3\)"),
+    ({"poses": [["a"]]}, "poses: not one array of numbers"),
+    ({"K": "pinhole"}, "K: not one array of numbers"),
+    ({"poses": [[1.0], [1.0, 2.0]]}, "poses: not one array of numbers"),
+    ({"depth_scale": "1000"}, "depth_scale: not a scale; found 1000, expected a number"),
     ({"axes": "OpenGL"}, "axes: not a convention of axes.*found OpenGL, expected opencv or opengl")])
 def test_arrays_that_do_not_fit(scene, change: dict[str, object], message: str) -> None:
     asked = {"depth": scene.depth, "K": K, "poses": scene.poses, **change}
@@ -69,6 +83,50 @@ def test_a_trajectory_in_millimetres_is_refused_and_one_frame_is_not(scene) -> N
     with pytest.raises(OcnfError, match="look like millimetres"):
         Scan.from_arrays(scene.depth, K, poses)
     assert Scan.from_arrays(scene.depth[:1], K, poses[:1]).warnings == ()
+
+
+@pytest.mark.parametrize("n", [6, 24])
+def test_a_round_thing_on_a_turntable_is_not_taken_for_poses_the_wrong_way_round(n: int) -> None:
+    """A ball in the origin looks the same in each frame: the poses the other way round agree entirely."""
+    angles = 2 * np.pi * np.arange(n) / n
+    poses = np.stack([look(0.8 * np.array([np.cos(a), np.sin(a), 0.3]), np.zeros(3)) for a in angles])
+    inverse = np.linalg.inv(K)
+    v, u = np.mgrid[:48, :64]
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ inverse.T
+    away = np.linalg.norm(poses[0, :3, 3])
+    within = away**2 * rays[..., 2]**2 - (rays**2).sum(-1) * (away**2 - 0.25**2)
+    near = (away * rays[..., 2] - np.sqrt(np.maximum(within, 0))) / (rays**2).sum(-1)
+    depth = np.where(within > 0, near, 0)
+    scan = Scan.from_arrays(np.tile(depth, (n, 1, 1)), K, poses)
+    assert scan.agreement.inverse > scan.agreement.share + 0.1 and scan.agreement.past < 0.01
+    assert scan.warnings == ()
+
+
+def test_the_direction_is_named_only_where_the_other_one_agrees_well() -> None:
+    views = wall([(0, 0, 0)] * 2).views
+    for found, said in ((Agreement(5000, 0.4, 0.9, 0.0, 0.3), "other way round: 40 %"),
+                        (Agreement(5000, 0.75, 0.99, 0.0, 0.1), "other way round: 75 %"),
+                        (Agreement(5000, 0.4, 0.9, 0.0, 0.01), None),
+                        (Agreement(5000, 0.4, 0.55, 0.0, 0.3), None),
+                        (Agreement(5000, 0.1, 0.55, 0.0, 0.3), "hardly agree with each other: 10 %"),
+                        (Agreement(0, float("nan"), 0.9, 0.0, float("nan")), "other way round: none"),
+                        (Agreement(0, float("nan"), 0.5, 0.0, float("nan")), "hardly overlap")):
+        assert [said is not None and said in warning for warning in judge(found, views, "here")] == [
+            True] * (said is not None)
+
+
+def test_judging_the_frames_takes_no_copy_of_the_depth() -> None:
+    views = Views(np.ones((40, 240, 320), np.float32), np.array(K), np.tile(np.eye(3), (40, 1, 1)),
+                  np.zeros((40, 3)))
+    tracemalloc.start()
+    try:
+        judge(agreement(views), views, "here")
+        views.T[1] = 1000.0
+        with pytest.raises(OcnfError, match="cameras spread over 1000 with depths of 1 m"):
+            judge(Agreement(5000, 0.0, 0.0, 0.9, 0.5), views, "here")
+        assert tracemalloc.get_traced_memory()[1] < views.depth.nbytes / 4
+    finally:
+        tracemalloc.stop()
 
 
 def test_frames_that_do_not_overlap_confirm_nothing(scene) -> None:

@@ -354,6 +354,23 @@ def test_of_several_files_of_intrinsics_the_depths_holds(write: Write) -> None:
     assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.K[0, 0, 0] == 55
 
 
+@pytest.mark.parametrize(("name", "spoil", "fault"), [
+    ("open3d-json", _json("trajectory.json", lambda d: d["parameters"][2]["intrinsic"].pop("width")),
+     "not an image's size; found nanx48"),
+    ("open3d-json", _json("trajectory.json",
+                          lambda d: d["parameters"][0]["intrinsic"].update(intrinsic_matrix="none")),
+     "intrinsic_matrix: not a matrix of numbers"),
+    ("open3d", _edit("intrinsic.json", lambda text: text[:-9]), "not valid JSON"),
+])
+def test_a_camera_that_is_not_needed_may_be_malformed(write: Write, name: str, fault: str,
+                                                      spoil: Callable[[Path], None]) -> None:
+    folder = write(name)
+    spoil(folder)
+    with pytest.raises(OcnfError, match=fault):
+        read_scan(folder)
+    assert (read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.K[:, 0, 0] == 55).all()
+
+
 @pytest.mark.parametrize(("change", "fault"), [
     ({"w": None, "h": None}, "unknown size"), ({"w": 96, "h": 128}, "not the image scaled")])
 def test_a_capture_whose_intrinsics_cannot_be_scaled(write: Write, change: dict, fault: str) -> None:
@@ -390,3 +407,21 @@ def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
         (folder / f"frame-000001.{suffix}").rename(folder / f"frame-10.{suffix}")
         (folder / f"frame-000003.{suffix}").rename(folder / f"frame-9.{suffix}")
     assert read_scan(folder).names[-2:] == ("frame-9", "frame-10")
+
+
+@pytest.mark.parametrize(("asked", "message"), [
+    ({"every": 2.0}, "every: not a step; found 2.0"), ({"every": "2"}, "every: not a step; found 2,"),
+    ({"frames": "²"}, "frames: not a choice of frames; found ²"), ({"frames": "٣"}, "not a choice of frames"),
+    ({"frames": "9" * 5000}, "frames: not a choice of frames"), ({"frames": "٠:٣"}, "not a choice of frames"),
+    ({"frames": f"0:{'9' * 5000}"}, "frames: not a choice of frames"), ({"frames": 2.0}, "not a choice"),
+    ({"intrinsics": ("a", "b", "c", "d")}, "intrinsics: not intrinsics.*four numbers"),
+    ({"intrinsics": 525.0}, "intrinsics: not intrinsics.*four numbers"),
+    ({"intrinsics": (1, 2, 3)}, "intrinsics: not intrinsics.*four numbers"),
+    ({"pose_scale": "0.001"}, "pose_scale: not a scale"),
+    ({"depth_scale": "1000"}, "depth_scale: not a scale"),
+    ({"crop": ("1", "2", "3", "4")}, "crop: not a crop"), ({"crop": 3}, "crop: not a crop"),
+])
+def test_an_argument_of_another_kind_is_refused_by_name(write: Write, asked: dict, message: str) -> None:
+    with pytest.raises(OcnfError, match=message) as refused:
+        read_scan(write("7scenes"), **asked)
+    assert len(str(refused.value)) < 400
