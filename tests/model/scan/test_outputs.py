@@ -174,7 +174,7 @@ def test_what_a_method_cannot_be_asked_for_is_refused_before_the_scan_is_read(
 
 @pytest.mark.parametrize("methods", [["volfus"], ["network", "volfus"]])
 def test_a_weight_without_tvl1_is_refused(methods: list[str], tmp_path: Path) -> None:
-    with pytest.raises(OcnfError, match="^--weight: it would have no effect: .*; found 1.0, expected no"):
+    with pytest.raises(OcnfError, match=r"^--weight: it would have no effect: .*; found 1.0, expected no"):
         run_fuse("no scan", Asked(tmp_path / "mesh.ply", weight=1.0, methods=methods))
 
 
