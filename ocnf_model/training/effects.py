@@ -29,6 +29,19 @@ def refuse_without_effect(settings: TrainSettings, where: object = "the settings
         _refuse(settings, _OF_A_BLEND, "there is no blend with plain fusion", "blend: true", where)
 
 
+def refuse_extra_channels(settings: TrainSettings, where: object = "the settings") -> None:
+    """Refuse channels behind the encoding's, also those of a run to start from: data sets have none.
+
+    Raises:
+        OcnfError: code `manifest`.
+    """
+    if settings.extra_channels:
+        raise OcnfError("only the frames of completion have some", code="manifest", where=where,
+                        field="extra_channels", found=settings.extra_channels,
+                        expected="0" if settings.start is None else "0, or no completion network as start",
+                        fix="train completion with `ocnf-model complete train`")
+
+
 def no_effect(name: str, reason: str, where: object, found: object, expected: object,
               fix: str | None = None) -> OcnfError:
     """The error for a setting that would not be looked at."""

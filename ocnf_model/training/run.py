@@ -28,7 +28,7 @@ from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import DataSource, StoredData, open_data
-from ocnf_model.training.effects import refuse_without_effect
+from ocnf_model.training.effects import refuse_extra_channels, refuse_without_effect
 from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
     RunRecord,
@@ -76,6 +76,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
     asked = like_the_start(settings)
     with join_world(device) as world:
         if isinstance(data, str | Path):
+            refuse_extra_channels(asked)
             source = open_data(str(data), asked, None if meshes is None else Path(meshes),
                                None if val is None else str(val))
         else:
