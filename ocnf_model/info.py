@@ -65,15 +65,16 @@ def layer_table(network: OctNetFusion, resolutions: list[int]) -> Table:
 
 
 def training_table(trained: TrainedRun) -> Table:
-    """A row a level: its best epoch and what was measured then."""
+    """A row a level: its best epoch and what was measured then; levels may have been measured otherwise."""
     measure = trained.headers[-1].settings.get("best_by", "mad")
     table = Table(title=f"best checkpoints, by {measure} of the validation samples")
-    columns = ["level", "resolution", "epoch", "steps", *trained.headers[0].metrics]
-    for title in columns:
+    metrics = list(dict.fromkeys(name for header in trained.headers for name in header.metrics))
+    for title in ("level", "resolution", "epoch", "steps", *metrics):
         table.add_column(title, justify="right", overflow="fold")
     for header in trained.headers:
         table.add_row(str(header.level), f"{header.resolution}³", str(header.epoch), str(header.steps),
-                      *(f"{value:.4g}" for value in header.metrics.values()))
+                      *(f"{header.metrics[name]:.4g}" if name in header.metrics else "-"
+                        for name in metrics))
     return table
 
 

@@ -57,7 +57,11 @@ def occupancy_mad(prediction: OctreeBatch, truth: OctreeBatch) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Overlap:
-    """Voxels of each volume, (B,) float64, that are occupied in both, and in only one of the two."""
+    """Voxels of each volume, (B,) float64, that are occupied in both, and in only one of the two.
+
+    Where nothing is predicted but something is true, or the other way round, all shares are 0; where nothing
+    is predicted nor true, all are 1.
+    """
 
     both: Tensor
     only_predicted: Tensor
@@ -66,17 +70,22 @@ class Overlap:
     @property
     def iou(self) -> Tensor:
         """Intersection over union, (B,)."""
-        return _ratio(self.both, self.both + self.only_predicted + self.only_true)
+        return self._share_of(self.both + self.only_predicted + self.only_true)
 
     @property
     def precision(self) -> Tensor:
         """Share of what is predicted that is true, (B,)."""
-        return _ratio(self.both, self.both + self.only_predicted)
+        return self._share_of(self.both + self.only_predicted)
 
     @property
     def recall(self) -> Tensor:
         """Share of what is true that is predicted, (B,)."""
-        return _ratio(self.both, self.both + self.only_true)
+        return self._share_of(self.both + self.only_true)
+
+    def _share_of(self, whole: Tensor) -> Tensor:
+        """What is in both, as a share of the whole."""
+        nothing = self.both + self.only_predicted + self.only_true == 0
+        return torch.where(whole > 0, self.both / whole.clamp(min=1), nothing.to(whole.dtype))
 
 
 @torch.no_grad()
@@ -98,8 +107,3 @@ def _overlap(pair: Pair, predicted: Tensor, true: Tensor) -> Overlap:
         return pair.sum_over_voxels(cells.double()).sum(1)
 
     return Overlap(count(predicted & true), count(predicted & ~true), count(~predicted & true))
-
-
-def _ratio(part: Tensor, whole: Tensor) -> Tensor:
-    """Part of the whole; of nothing, all: an empty prediction of an empty volume is right."""
-    return torch.where(whole > 0, part / whole.clamp(min=1), torch.ones_like(whole))

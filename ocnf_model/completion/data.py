@@ -116,6 +116,7 @@ class CompletionData:
         return [frame_name(self._seed, index, view) for view in range(VIEWS_PER_SCENE)]
 
     def _checksum(self, names: Sequence[str]) -> str:
+        """Of the frames' names, not of their images: the octrees that were made of them stay in the run."""
         return sha256_hex(canonical_json([SAMPLE_VERSION, list(names), self._scenes, self._seed]))
 
 
@@ -126,7 +127,7 @@ class FrameDataset(EpochDataset):
         folder: folder of the samples.
         names: names of the real frames.
         level: number of the level, from 0; the inputs of the levels before come with it.
-        checksum: SHA-256 of what the samples are made of.
+        checksum: SHA-256 of what the samples are called and made by.
         seed: of the draws.
         batch_size: samples a batch, for each rank.
         synthetic: names of the synthetic frames.
@@ -147,7 +148,7 @@ class FrameDataset(EpochDataset):
 
     @property
     def checksum(self) -> str:
-        """SHA-256 of what the samples are made of."""
+        """SHA-256 of what the samples are called and made by."""
         return self._checksum
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

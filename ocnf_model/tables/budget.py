@@ -16,6 +16,7 @@ from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.manifest import Entry, Manifest
+from ocnf_model.tables import WEIGHT_MODELS
 from ocnf_model.tables.schema import PAPER_CATEGORIES, InputSpec, NetworkSpec, Pipeline, TableSpec
 from ocnf_model.training.settings import TrainSettings, read_settings
 
@@ -23,7 +24,6 @@ PAPER_TRAIN, PAPER_VAL, PAPER_TEST = 200, 5, 20
 """Meshes of each category in the published selection."""
 SCAN_TRAIN, SCAN_TEST = 12, 6
 """Of the paper's 20 configurations of each scan; two more validate."""
-WEIGHT_MODELS = 5
 PAPER_RESOLUTIONS = (64, 128, 256)
 PAPER_EPOCHS = (50, 25, 25)
 

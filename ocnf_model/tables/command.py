@@ -9,6 +9,8 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from ocnf_model.tables import WEIGHT_MODELS
+
 _out = Console(emoji=False, soft_wrap=True)
 _err = Console(stderr=True, emoji=False)
 
@@ -41,7 +43,7 @@ def tables_command(
         metavar="CATEGORY=FOLDER", help="A folder that takes the place of a category of the paper; may be "
                                         "repeated.")] = None,
     weight_models: Annotated[int, typer.Option(
-        min=1, metavar="N", help="Validation meshes that TV-L1's weight is chosen on.")] = 5,
+        min=1, metavar="N", help="Validation meshes that TV-L1's weight is chosen on.")] = WEIGHT_MODELS,
     device: Annotated[str, typer.Option(metavar="NAME", help="auto, cpu, cuda, cuda:1.")] = "auto",
     jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Worker processes of generation.")] = 1,
     scans: Annotated[Path | None, typer.Option(

@@ -9,6 +9,7 @@ from rich.console import Console
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.generation import generate
+from ocnf_data.shards.dataset import PLAN
 from ocnf_model.checkpoint import open_run
 from ocnf_model.devices import pick_device
 from ocnf_model.evaluation.methods import Method
@@ -68,7 +69,14 @@ class Executor:
     def _generate(self, step: Step, out: Path) -> None:
         assert step.input is not None
         manifest = self._layout.budget.manifest(step.variant, step.input)
-        report = generate(manifest, out, self._root, jobs=self._jobs, progress=self._console.is_terminal)
+        try:
+            report = generate(manifest, out, self._root, jobs=self._jobs, progress=self._console.is_terminal)
+        except OcnfError as error:
+            if error.where != Store(out).where(PLAN):
+                raise
+            # Nobody has chosen this folder, so another one cannot be named.
+            raise error.replaced(fix=f"put back what it was begun with, or delete {out}, and run the same "
+                                     "command again: the data set is made anew") from error
         if not report.ok:
             raise OcnfError(f"{report.failed_share:.1%} of the meshes failed; {report.threshold:.1%} may",
                             where=out / "failures.jsonl",

@@ -15,6 +15,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -158,14 +159,22 @@ def epochs_within(hours: float, epoch_seconds: Sequence[float], fixed: float,
 
 def read_rates(layout: Layout, device: str) -> Rates | None:
     """What an earlier calibration measured for these resolutions and settings; None where there was none."""
+    try:
+        return validate(Rates, _known(layout)[_key(layout.budget, device)], Store(layout.out).where(FILE))
+    except (KeyError, OcnfError):
+        return None  # measured again
+
+
+def _known(layout: Layout) -> dict[str, Any]:
+    """All that earlier calibrations measured; nothing where the file is damaged."""
     store = Store(layout.out)
     if not store.exists(FILE):
-        return None
+        return {}
     try:
         known = json.loads(store.read_bytes(FILE))
-        return validate(Rates, known[_key(layout.budget, device)], store.where(FILE))
-    except (ValueError, KeyError, TypeError, OcnfError):
-        return None  # measured again
+    except (ValueError, RecursionError):
+        return {}
+    return known if isinstance(known, dict) else {}
 
 
 def calibrate(layout: Layout, root: Path, device: str, console: Console,
@@ -189,10 +198,8 @@ def calibrate(layout: Layout, root: Path, device: str, console: Console,
         rates = _measure(layout.budget, root, folder, device, tables)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    store = Store(layout.out)
-    known = json.loads(store.read_bytes(FILE)) if store.exists(FILE) else {}
-    known[_key(layout.budget, device)] = rates.model_dump(mode="json")
-    store.put_bytes(FILE, canonical_json(known, indent=1))
+    known = {**_known(layout), _key(layout.budget, device): rates.model_dump(mode="json")}
+    Store(layout.out).put_bytes(FILE, canonical_json(known, indent=1))
     return rates
 
 

@@ -16,7 +16,8 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.terminal import check_up
-from ocnf_model.tables.budget import WEIGHT_MODELS, make_budget
+from ocnf_model.tables import WEIGHT_MODELS
+from ocnf_model.tables.budget import make_budget
 from ocnf_model.tables.completion import CompletionGroup
 from ocnf_model.tables.groups import SampleGroup, TableGroup
 from ocnf_model.tables.plan import TablePlan, megabytes

@@ -28,7 +28,8 @@ from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.manifest import Entry
 from ocnf_data.shards.dataset import DATASET
 from ocnf_model.evaluation.methods import Method
-from ocnf_model.tables.budget import WEIGHT_MODELS, Budget
+from ocnf_model.tables import WEIGHT_MODELS
+from ocnf_model.tables.budget import Budget
 from ocnf_model.tables.schema import (
     InputSpec,
     Line,

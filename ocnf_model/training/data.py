@@ -6,7 +6,6 @@ RUN/validation, so that every epoch is measured with the same ones; `--val` name
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.files.storage import Store
 from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.dataset import ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
@@ -34,7 +32,6 @@ SAMPLES = "samples"
 CACHE = "cache"
 """Folder in a run of the ground truths that epochs share."""
 _MANIFESTS = frozenset({".yaml", ".yml", ".json"})
-_MOST_JOBS = 8
 
 
 class DataSource(Protocol):
@@ -148,10 +145,10 @@ class DrawnData:
         self._val = None if val is None else OtherData.checked(val, self.manifest, path)
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
-        """Make the validation set, if it is not there yet."""
+        """Make the validation set, if it is not there yet; say what failed of it."""
         if self._val is not None:
             return
-        from ocnf_data.generation import generate
+        from ocnf_model.training.making import make_validation
 
         # What is drawn for training is no part of it: a run with other draws is measured with the same one.
         manifest = self._sources.manifest.model_copy(update={"synthesis": None})
@@ -160,10 +157,7 @@ class DrawnData:
             raise OcnfError("the manifest has no samples to validate with", code="empty", where=self.where,
                             field=f"source, split {settings.val_split}",
                             fix="give the split some, or name a data set with --val")
-        if not Store(folder / VALIDATION).exists("dataset.json"):
-            console.print(f"making the validation set in {folder / VALIDATION}", highlight=False)
-        generate(manifest, folder / VALIDATION, self._root, jobs=min(os.cpu_count() or 1, _MOST_JOBS),
-                 splits=(settings.val_split,), progress=console.is_terminal)
+        make_validation(manifest, self._root, folder, settings.val_split, console)
 
     def training(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """Samples drawn from the manifest."""

@@ -6,6 +6,7 @@ A run that an earlier version began with some of them is gone on with.
 from __future__ import annotations
 
 from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import level_architecture, run_folder
 from ocnf_model.network import Output
 from ocnf_model.training.settings import TrainSettings
 
@@ -21,12 +22,29 @@ def refuse_without_effect(settings: TrainSettings, where: object = "the settings
         where: where they come from, for messages.
 
     Raises:
-        OcnfError: code `manifest`, with the field.
+        OcnfError: code `manifest`, with the field; or the run to start from is missing or damaged.
     """
     if settings.output is Output.OCCUPANCY:
         _refuse(settings, _OF_A_TSDF, "an occupancy has the binary cross entropy", "output: tsdf", where)
     if not settings.blend:
         _refuse(settings, _OF_A_BLEND, "there is no blend with plain fusion", "blend: true", where)
+    elif settings.start is not None and level_architecture(run_folder(settings.start), 0).blend:
+        # Levels that are not there begin with the blend of the level before, so none is new.
+        _refuse(settings, ("blend_from",), f"{settings.start} has a blend, and keeps it",
+                "a run to start from without one", where)
+
+
+def refuse_extra_channels(settings: TrainSettings, where: object = "the settings") -> None:
+    """Refuse channels behind the encoding's, also those of a run to start from: data sets have none.
+
+    Raises:
+        OcnfError: code `manifest`.
+    """
+    if settings.extra_channels:
+        raise OcnfError("only the frames of completion have some", code="manifest", where=where,
+                        field="extra_channels", found=settings.extra_channels,
+                        expected="0" if settings.start is None else "0, or no completion network as start",
+                        fix="train completion with `ocnf-model complete train`")
 
 
 def no_effect(name: str, reason: str, where: object, found: object, expected: object,

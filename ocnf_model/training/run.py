@@ -18,6 +18,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from rich.console import Console
+from torch import Tensor
 
 from ocnf_data.files.lock import exclusive
 from ocnf_data.files.storage import Store
@@ -28,7 +29,7 @@ from ocnf_model.network import OctNetFusion, Output
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import DataSource, StoredData, open_data
-from ocnf_model.training.effects import refuse_without_effect
+from ocnf_model.training.effects import refuse_extra_channels, refuse_without_effect
 from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
     RunRecord,
@@ -76,6 +77,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
     asked = like_the_start(settings)
     with join_world(device) as world:
         if isinstance(data, str | Path):
+            refuse_extra_channels(asked)
             source = open_data(str(data), asked, None if meshes is None else Path(meshes),
                                None if val is None else str(val))
         else:
@@ -96,10 +98,10 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
             _say_variants(console, named, settings.variant, variant)
         network, n_started = first_network(settings)
         with exclusive(Store(folder)) if world.is_main else nullcontext():
-            if world.is_main:
-                _begin(source, folder, settings, network)
+            place = _begin(source, folder, settings, network) if world.is_main else None
             world.wait()
-            return _run(source, folder, settings, network.to(world.device), n_started, world, console)
+            return _run(source, folder, settings, network.to(world.device), n_started, world, console,
+                        place or load_state(folder, note=False))
 
 
 def _prepare(source: DataSource, folder: Path, settings: TrainSettings, console: Console) -> None:
@@ -122,10 +124,10 @@ def _say_variants(console: Console, named: str | None, training: str | None, val
 
 
 def _run(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion, n_started: int,
-         world: World, console: Console) -> OctNetFusion:
+         world: World, console: Console, place: tuple[TrainState, dict[str, Tensor]]) -> OctNetFusion:
     assert settings.output is not None and settings.resolutions is not None  # resolved
     training_data = _training_data(source, folder, settings)
-    state, tensors = load_state(folder)
+    state, tensors = place
     if world.is_main and state.rows:
         write_curves(folder, state.rows)  # a killed run may have left a line too few
     for level in range(settings.levels):
@@ -158,23 +160,29 @@ def _training_data(source: DataSource, folder: Path, settings: TrainSettings) ->
         truncation_voxels=manifest["truncation_voxels"])
 
 
-def _begin(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion) -> None:
-    """Write down what the run is, once nothing speaks against its going on; refuse anything else's folder."""
+def _begin(source: DataSource, folder: Path, settings: TrainSettings, network: OctNetFusion
+           ) -> tuple[TrainState, dict[str, Tensor]]:
+    """Write down what the run is, once nothing speaks against its going on; refuse anything else's folder.
+
+    Returns:
+        The state that it goes on from, with its tensors, as `load_state`.
+    """
     ours = RunRecord(settings, _training_data(source, folder, settings),
                      source.validation(folder, settings, 0).checksum, start_checksums(settings))
     if not is_begun(folder):
         refuse_strangers(folder)
         write_record(folder, ours)
-        return
+        return load_state(folder)
     begun = read_record(folder)
     changed = changed_epochs(settings, begun.settings)
     refuse_another_run(folder, ours, begun, but_epochs=bool(changed))
-    state, tensors = load_state(folder, note=False)
+    state, tensors = load_state(folder)
     check_epochs(folder, changed, state)
     training = source.training(folder, settings, state.level) if state.level < settings.levels else None
     check_state(folder, settings, network, training, state, tensors)
     if changed:
         write_epochs(folder, settings, changed, state)
+    return state, tensors
 
 
 def _less_memory(settings: TrainSettings, level: int) -> str:

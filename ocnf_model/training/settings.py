@@ -144,7 +144,7 @@ class TrainSettings(Strict):
     voxels, or guess it where the data has none; 0 for none (the paper)."""
     blend_from: Annotated[Real, Field(gt=0, lt=1)] = 0.05
     """Share of plain fusion that a new blend begins with: little for few views, which leave much unseen, most
-    for the many frames of a scan."""
+    for the many frames of a scan. A run to start from that has a blend keeps its own, and this is refused."""
     blend_learns: bool = True
     """Whether training changes the share. If not, it stays what it begins with, by `blend_from` or in the run
     to start from, and the network learns to be right together with that much of plain fusion."""

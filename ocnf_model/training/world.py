@@ -18,6 +18,8 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
+from typing import Final
 
 import torch
 import torch.distributed as dist
@@ -25,6 +27,11 @@ from torch import Tensor
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.devices import pick_device
+
+_PATIENCE: Final = timedelta(hours=6)
+"""How long a rank waits for the others. The first one makes a manifest's validation set or completion's
+samples alone, and a rank's share of a large validation may take longer than the others': NCCL's 10 minutes
+and gloo's 30 would end such a run. Of a rank that died torchrun tells the others at once."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ def join_world(device: str) -> Iterator[World]:
     chosen = pick_device(device)
     if chosen.type == "cuda":
         torch.cuda.set_device(chosen)
-    dist.init_process_group(_backend(chosen))
+    dist.init_process_group(_backend(chosen), timeout=_PATIENCE)
     try:
         yield World(chosen, dist.get_rank(), dist.get_world_size())
     finally:

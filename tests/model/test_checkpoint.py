@@ -7,6 +7,7 @@ import pickle
 import random
 import resource
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ import torch
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import SHIPPED, checkpoint_sha256, load_level, load_run, open_run, save_checkpoint
 from ocnf_model.header import Architecture, Header, TrainingData
+from ocnf_model.info import training_table
 from ocnf_model.network import OctNetFusion
 from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 
@@ -228,3 +230,14 @@ def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, 
     monkeypatch.setitem(SHIPPED, "pretrained", tmp_path)
     with pytest.raises(OcnfError, match=r"without pretrained weights.*ocnf-model train"):
         load_run("pretrained")
+
+
+def test_info_has_a_column_for_every_figure_and_a_dash_where_a_level_lacks_it(folder) -> None:
+    run = open_run(folder)
+    figures = ({"mad_mm": 2.0, "iou": 0.5}, {"iou": 0.75, "f_score": 0.875})
+    headers = tuple(header.model_copy(update={"metrics": metrics})
+                    for header, metrics in zip(run.headers, figures, strict=True))
+    columns = {str(column.header): list(column.cells)
+               for column in training_table(replace(run, headers=headers)).columns}
+    assert {name: columns.get(name) for name in ("mad_mm", "iou", "f_score")} == {
+        "mad_mm": ["2", "-"], "iou": ["0.5", "0.75"], "f_score": ["-", "0.875"]}

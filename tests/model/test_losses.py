@@ -120,8 +120,20 @@ def test_metrics_equal_the_dense_ones(data, batches, make_batch, dense) -> None:
         for found, part, whole in [(overlap.iou, predicted & true, predicted | true),
                                    (overlap.precision, predicted & true, predicted),
                                    (overlap.recall, predicted & true, true)]:
-            n, m = (mask.sum(dim=(1, 2, 3, 4)).double() for mask in (part, whole))
-            torch.testing.assert_close(found, torch.where(m > 0, n / m.clamp(min=1), 1.0))
+            n, m, either = (mask.sum(dim=(1, 2, 3, 4)).double() for mask in (part, whole, predicted | true))
+            torch.testing.assert_close(found, torch.where(m > 0, n / m.clamp(min=1), (either == 0).double()))
+
+
+@pytest.mark.parametrize(("predicted", "true", "figures"), [
+    (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)])
+def test_nothing_is_right_only_where_there_is_nothing(make_batch, predicted, true, figures) -> None:
+    """Neither a prediction without anything solid nor a truth without is hit by any voxel."""
+    batch = make_batch(0, (1, 1, 1), 2, 1)
+    p, g = (batch.with_features(torch.full_like(batch.features, value)) for value in (predicted, true))
+    for overlap in (tsdf_overlap(p, g), occupancy_overlap(p.with_features((1 - p.features) / 2),
+                                                          g.with_features((1 - g.features) / 2))):
+        for found in (overlap.iou, overlap.precision, overlap.recall):
+            assert found.tolist() == [figures] * 2
 
 
 @few

@@ -43,7 +43,7 @@ def dense_figures(predicted: np.ndarray, true: np.ndarray, tau: float) -> tuple[
     p, t = predicted < 0, true < 0
     both = (p & t).sum()
     clipped = [np.clip(volume.astype(np.float64), -1, 1) for volume in (predicted, true)]
-    precision = both / p.sum() if p.any() else 1.0
+    precision = both / p.sum() if p.any() else 0.0
     return abs(clipped[0] - clipped[1]).mean() * tau * 1000, both / (p | t).sum(), precision, both / t.sum()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
+from ocnf_model.tables.command import tables_command
 from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.rates import epochs_within
+from ocnf_model.tables.run import make_tables
 
 Make = Callable[..., TablePlan]
 
@@ -123,3 +126,9 @@ def test_hours_hold_the_epochs_in_the_papers_proportions(
     assert min(epochs) >= 1
     assert fixed + sum(n * one for n, one in zip(epochs, seconds, strict=True)) <= 3600 * hours * (1 + 1e-9)
     assert all(abs(epochs[0] - 2 * later) <= 2 for later in epochs[1:])
+
+
+def test_the_command_line_has_the_defaults_of_the_function() -> None:
+    asked, given = (signature(function).parameters for function in (tables_command, make_tables))
+    for name in ("weight_models", "device", "jobs", "up", "dry_run"):
+        assert asked[name].default == given[name].default, name

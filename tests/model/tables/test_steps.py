@@ -9,8 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from ocnf_data.errors import OcnfError
+from ocnf_model.tables import rates
 from ocnf_model.tables.budget import Budget, listed, make_budget
+from ocnf_model.tables.execute import Executor
 from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.schema import TABLE_NAMES, TableSpec, load_table
 from ocnf_model.tables.steps import Layout, StepKind, plan_steps
@@ -25,9 +29,9 @@ def budget(root: Path, settings: TrainSettings) -> Budget:
                        stand_ins={"desk": "table"})
 
 
-def layout(budget: Budget, root: Path) -> Layout:
+def layout(budget: Budget, root: Path, out: Path = Path("out")) -> Layout:
     entries = listed(budget, root)
-    return Layout(Path("out"), budget, entries,
+    return Layout(out, budget, entries,
                   {str(entry.path): (root / str(entry.path)).stat().st_size for entry in entries})
 
 
@@ -106,3 +110,31 @@ def test_a_run_that_was_stopped_is_no_finished_one(
         "train histogram-v4_n02-without-airplane-desk", "write unseen"]
     assert (run / "curves.csv").read_text() == curves
     assert json.loads((out / "steps.jsonl").read_text().splitlines()[-1])["step"] == "write unseen"
+
+
+@pytest.mark.parametrize("damaged", [b'{"schema":', b'{"schema": 99}'])
+def test_a_damaged_plan_of_a_data_set_is_said_with_what_to_do(
+        budget: Budget, root: Path, tmp_path: Path, damaged: bytes) -> None:
+    one = layout(budget, root, tmp_path)
+    step = plan_steps(TABLES, one)[0]
+    assert step.kind is StepKind.GENERATE
+    folder = (tmp_path / step.target).parent
+    folder.mkdir(parents=True)
+    (folder / "plan.json").write_bytes(damaged)
+    with pytest.raises(OcnfError, match=r"plan\.json: .*, and run the same command again") as caught:
+        Executor(one, root, "cpu", 1, Console(quiet=True)).do(step)
+    assert f"or delete {folder}," in str(caught.value.fix)
+
+
+@pytest.mark.parametrize("damaged", [b"{", b"[]", b"[" * 100_000, b"\xff"])
+def test_damaged_rates_are_measured_again(budget: Budget, root: Path, tmp_path: Path, damaged: bytes,
+                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = rates.Rates(generate={"fixed": 1.0}, encodings=4, members={}, train_sample=(1.0,),
+                           train_validation=(1.0,), train_fixed=1.0, run_bytes=1.0, weigh=1.0, baselines=1.0,
+                           evaluate=1.0, time=1.0)
+    monkeypatch.setattr(rates, "_measure", lambda *_: measured)
+    one = layout(budget, root, tmp_path)
+    (tmp_path / "rates.json").write_bytes(damaged)
+    assert rates.read_rates(one, "cpu") is None
+    assert rates.calibrate(one, root, "cpu", Console(quiet=True), TABLES) == measured
+    assert rates.read_rates(one, "cpu") == measured

@@ -19,6 +19,8 @@ from typer.testing import CliRunner
 import ocnf_data.generation.account as account
 from ocnf_data import generate
 from ocnf_data.errors import OcnfError
+from ocnf_data.generation.outcome import Report
+from ocnf_data.generation.records import Failure
 from ocnf_data.manifest import Manifest
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
@@ -253,6 +255,45 @@ def test_what_a_manifest_lacks_is_said(small, tmp_path, out, tiny) -> None:
             train(str(path), out, small(levels=1), device="cpu", val=val)
     with pytest.raises(OcnfError, match="needs no meshes"):
         train(tiny, out, small(levels=1), device="cpu", meshes=tmp_path)
+
+
+def made_of(samples: int, failed: int) -> Report:
+    """What generation says of a validation set: some samples, and others that could not be made."""
+    failures = tuple(Failure(f"m{i}", "val", "chair", f"m{i}.off", "read", "degenerate",
+                             "no face\nhas an area") for i in range(failed))
+    return Report("out", samples + failed, samples, failures, (), samples, 0, 1.0, 0.25)
+
+
+@pytest.mark.parametrize(("samples", "failed", "lines"), [
+    (40, 1, ["1 of 41 validation samples could not be made",
+             "m0.off: degenerate (read): no face has an area"]),
+    (40, 9, ["9 of 49 validation samples could not be made", *(f"m{i}.off: degenerate" for i in range(5)),
+             "and 4 more"]),
+])
+def test_validation_samples_that_could_not_be_made_are_named(
+        manifest, small, out, monkeypatch, samples, failed, lines) -> None:
+    monkeypatch.setattr("ocnf_model.training.making.generate", lambda *_, **__: made_of(samples, failed))
+    heard = Console(file=io.StringIO(), width=200)
+    settings = small(levels=1)
+    open_data(manifest, settings).prepare(out, settings, heard)
+    said = heard.file.getvalue().splitlines()[1:]  # after where they are made
+    assert len(said) == len(lines)
+    assert all(line in found for line, found in zip(lines, said, strict=True))
+    assert str(out / "validation" / "failures.jsonl") in said[0]
+
+
+@pytest.mark.parametrize(("samples", "failed"), [(0, 0), (0, 2), (2, 1)])
+def test_a_run_does_not_begin_with_too_few_samples_to_validate_with(
+        manifest, small, out, monkeypatch, samples, failed) -> None:
+    monkeypatch.setattr("ocnf_model.training.making.generate", lambda *_, **__: made_of(samples, failed))
+    settings = small(levels=1)
+    message = rf"failures.jsonl.*found {samples} of {samples + failed}.*--val"
+    with pytest.raises(OcnfError, match=message) as caught:
+        open_data(manifest, settings).prepare(out, settings, Console(quiet=True))
+    assert caught.value.code == "too_many_bad"
+    out.mkdir()
+    (out / "settings.json").write_text("{}")  # one that was begun goes on
+    open_data(manifest, settings).prepare(out, settings, Console(quiet=True))
 
 
 def test_the_command_line_trains_on_a_manifest(manifest, out, tiny) -> None:

@@ -131,6 +131,14 @@ def test_what_would_have_no_effect_is_refused_before_anything_is_written(fields,
     refuse_without_effect(read_settings({"blend": True, "output": "tsdf", field: fields[field]}, "test"))
 
 
+def test_channels_that_no_data_set_has_are_refused(tiny, small, tmp_path: Path) -> None:
+    message = "the settings: extra_channels: only the frames of completion have some"
+    with pytest.raises(OcnfError, match=message) as caught:
+        train(tiny, tmp_path / "run", small(extra_channels=1), device="cpu")
+    assert (caught.value.found, caught.value.code) == ("1", "manifest")
+    assert not (tmp_path / "run").exists()
+
+
 def test_what_had_no_effect_in_a_run_of_before_lets_it_go_on(tiny, small, tmp_path: Path,
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     settings = small(levels=1, blend_from=0.5)

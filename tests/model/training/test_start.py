@@ -73,10 +73,26 @@ def test_a_share_that_does_not_learn_stays_and_the_rest_goes_on(tiny, small, tmp
     assert learned.weight.abs().max() > 1e-4
     assert not torch.equal(whole.levels[0].head.weight, free.levels[0].head.weight)
     assert same(parts, whole)
-    onwards = small(levels=1, blend=True, blend_from=0.2, blend_learns=False, start=str(tmp_path / "free"))
+    onwards = small(levels=1, blend=True, blend_learns=False, start=str(tmp_path / "free"))
     kept = train(tiny, tmp_path / "kept", onwards, device="cpu").levels[0]
     assert torch.equal(kept.blend.gate.weight, load_run(tmp_path / "free").levels[0].blend.gate.weight)
     assert not torch.equal(kept.head.weight, load_run(tmp_path / "free").levels[0].head.weight)
+
+
+def test_a_first_share_is_refused_where_the_run_to_start_from_has_one(tiny, small, tmp_path) -> None:
+    blended = small(levels=1, blend=True, stages=[STILL])
+    train(tiny, tmp_path / "blended", blended, device="cpu")
+    onwards = {"levels": 1, "stages": [STILL], "start": str(tmp_path / "blended"), "blend_from": 0.2}
+    for more in ({}, {"blend": True}):  # named, or taken from there
+        settings = merge_options(None, {**small(**onwards).model_dump(exclude_unset=True), **more}, {})
+        message = r"blend_from: it would have no effect: .*blended has a blend, and keeps it; found 0.2"
+        with pytest.raises(OcnfError, match=message):
+            train(tiny, tmp_path / "run", settings, device="cpu")
+    assert not (tmp_path / "run").exists()
+    with pytest.MonkeyPatch.context() as patch:  # a run that an earlier version began goes on
+        patch.setattr("ocnf_model.training.run.refuse_without_effect", lambda settings: None)
+        train(tiny, tmp_path / "run", settings, device="cpu")
+    train(tiny, tmp_path / "run", settings, device="cpu")
 
 
 def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:

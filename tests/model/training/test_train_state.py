@@ -51,6 +51,20 @@ def run(halfway, out) -> Path:
     return out
 
 
+def test_the_state_is_read_once_for_all_that_is_checked_and_done(halfway, run, tiny, small,
+                                                                 monkeypatch) -> None:
+    read = []
+
+    def count(path: Path, **named: Any) -> Any:
+        read.append(path.name)
+        return read_tensors(path, **named)
+
+    monkeypatch.setattr("ocnf_model.training.train_state.read_tensors", count)
+    train(tiny, run, small(levels=1, stages=STAGES), device="cpu")
+    assert read == [STATE]
+    assert (run / "level-1.safetensors").read_bytes() == halfway[1]["level-1.safetensors"]
+
+
 def rewrite(folder: Path, change: Any) -> None:
     """Let `change(tensors, header)` alter the state, and write it with a checksum that fits."""
     tensors, header = read_tensors(folder / STATE)

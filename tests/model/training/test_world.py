@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
+
 import pytest
 import torch
 
@@ -25,12 +27,14 @@ def test_ranks_share_the_gpus_there_are(monkeypatch, local_rank: int, n_here: in
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "set_device", lambda device: asked.update(device=str(device)))
     monkeypatch.setattr(world, "pick_device", torch.device)
-    for name, found in (("init_process_group", lambda backend: asked.update(backend=backend)),
+    for name, found in (("init_process_group", lambda backend, timeout: asked.update(backend=backend,
+                                                                                        timeout=timeout)),
                         ("get_rank", lambda: local_rank), ("get_world_size", lambda: 8),
                         ("destroy_process_group", lambda: None)):
         monkeypatch.setattr(world.dist, name, found)
     with world.join_world("auto") as joined:
         assert str(joined.device) == device
+    assert timedelta(hours=1) <= asked.pop("timeout") <= timedelta(days=1)
     assert asked == {"device": device, "backend": backend}
 
 
