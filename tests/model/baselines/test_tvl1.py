@@ -86,7 +86,7 @@ def test_energy_on_real_meshes_at_64(category: str, weight: float, oracle: Simpl
 
 
 def check_energy(histogram: GridOctree, weight: float, oracle: SimpleNamespace) -> None:
-    """Within 1e-4 and the oracle's own gap of the dense lower bound, and what `Solution` says of itself is true of the volume."""
+    """Within 1e-4, and the oracle's gap, of the dense lower bound; `Solution` says of itself what is true."""
     h = dense(histogram)
     _, p, gaps = oracle.solve(h, weight, 1e-5)
     least = oracle.dual(p, h, weight)  # not above the minimum, whatever the gap

@@ -37,7 +37,8 @@ def test_a_network_of_another_kind_is_refused() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif("OCNF_DATA" not in os.environ or not DATA.is_dir(),
                     reason="OCNF_DATA names no folder with voxlets/")
-def test_better_than_the_baselines_on_the_test_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_better_than_the_baselines_on_the_test_scenes(tmp_path: Path,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:
     """On every fourth frame, for time."""
     everything = evaluate.list_frames
     monkeypatch.setattr(evaluate, "list_frames", lambda *which: everything(*which)[::4])
