@@ -70,7 +70,7 @@ class Pair:
 
 
 def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduction.MEAN,
-            wrong_sign: float = 1.0, weights: OctreeBatch | None = None, missed: float = 1.0) -> Tensor:
+            wrong_sign: float = 1.0, weights: OctreeBatch | None = None) -> Tensor:
     """Mean |prediction - target| over the voxels; values in units of tau, not clipped.
 
     Args:
@@ -80,15 +80,14 @@ def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduc
         wrong_sign: weight of a voxel that is taken for free but is occupied, or the other way round.
         weights: (L, 1) what else the voxels' differences are multiplied by, of the same grids, nowhere finer
             than both the prediction and the target; None: 1.
-        missed: weight, times that of the wrong sign, of a voxel that is occupied but is taken for free.
     """
     pair = Pair.of(prediction, target)
-    return _reduce(pair, _costs(pair, wrong_sign, missed, weights), reduction)
+    return _reduce(pair, _costs(pair, wrong_sign, weights), reduction)
 
 
 def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
                       reduction: str = Reduction.MEAN, wrong_sign: float = 1.0,
-                      weights: OctreeBatch | None = None, missed: float = 1.0) -> Tensor:
+                      weights: OctreeBatch | None = None) -> Tensor:
     """`l1_loss`, but a prediction beyond 1 costs nothing where the target is 1, nor below -1 where it is -1.
 
     A TSDF is cut off there, and so is the prediction before it is used or measured: all distances beyond the
@@ -96,17 +95,15 @@ def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
     """
     pair = Pair.of(prediction, target)
     beyond = (pair.target.abs() >= 1) & (pair.prediction * pair.target.sign() > 1)  # (L, C)
-    return _reduce(pair, _costs(pair, wrong_sign, missed, weights).masked_fill(beyond, 0.0), reduction)
+    return _reduce(pair, _costs(pair, wrong_sign, weights).masked_fill(beyond, 0.0), reduction)
 
 
-def _costs(pair: Pair, wrong_sign: float, missed: float, weights: OctreeBatch | None) -> Tensor:
+def _costs(pair: Pair, wrong_sign: float, weights: OctreeBatch | None) -> Tensor:
     """(L, C) absolute differences, weighed; occupied is TSDF < 0 (SEMANTICS 2)."""
     costs = pair.weighed((pair.prediction - pair.target).abs(), weights)
-    for weight, apply in ((wrong_sign, (pair.prediction < 0) != (pair.target < 0)),
-                          (missed, (pair.prediction >= 0) & (pair.target < 0))):
-        if weight != 1:
-            costs = torch.where(apply, weight * costs, costs)
-    return costs
+    if wrong_sign == 1:
+        return costs
+    return torch.where((pair.prediction < 0) == (pair.target < 0), costs, wrong_sign * costs)
 
 
 def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduction.MEAN,

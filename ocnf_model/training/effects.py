@@ -10,7 +10,7 @@ from ocnf_model.checkpoint import level_architecture, run_folder
 from ocnf_model.network import Output
 from ocnf_model.training.settings import TrainSettings
 
-_OF_A_TSDF = ("loss", "wrong_sign", "missed", "unseen")
+_OF_A_TSDF = ("loss", "wrong_sign", "unseen")
 _OF_A_BLEND = ("blend_from", "blend_learns")
 
 

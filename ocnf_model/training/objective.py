@@ -21,7 +21,7 @@ def objective(settings: TrainSettings, output: Output) -> Callable[..., Tensor]:
     """The loss of what a network makes: a function of (prediction, target, reduction, weights=)."""
     if output is Output.OCCUPANCY:
         return bce_loss
-    return partial(LOSSES[settings.loss], wrong_sign=settings.wrong_sign, missed=settings.missed)
+    return partial(LOSSES[settings.loss], wrong_sign=settings.wrong_sign)
 
 
 def voxel_weights(settings: TrainSettings, output: Output, example: Example) -> OctreeBatch | None:

@@ -168,9 +168,6 @@ class TrainSettings(Strict):
     wrong_sign: Annotated[Real, Field(ge=1, le=1e3)] = 1.0
     """Weight in that loss of a voxel on the wrong side of the surface, where any other has 1; 1 in the
     paper."""
-    missed: Annotated[Real, Field(ge=1, le=1e3)] = 1.0
-    """Weight in that loss, times `wrong_sign`, of a voxel that is occupied but is taken for free: above 1, a
-    place that is solid with less than even odds is said to be, so that thin things stay; 1 in the paper."""
     unseen: Annotated[Real, Field(ge=0, le=1)] = 1.0
     """Weight in that loss of a voxel that no input view has measured, where any other has 1: what is there
     can only be imagined, and of scans nobody looks at it; 1 in the paper."""

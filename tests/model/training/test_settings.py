@@ -118,7 +118,6 @@ def test_difference_names_the_field() -> None:
 @pytest.mark.parametrize(("fields", "field"), [
     ({"output": "occupancy", "loss": "truncated_l1"}, "loss"),
     ({"output": "occupancy", "wrong_sign": 2.0}, "wrong_sign"),
-    ({"output": "occupancy", "missed": 2.0}, "missed"),
     ({"output": "occupancy", "unseen": 0.5}, "unseen"),
     ({"blend_from": 0.5}, "blend_from"),
     ({"blend_learns": False}, "blend_learns"),
