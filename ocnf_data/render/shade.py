@@ -106,7 +106,7 @@ def _lit(points: F64, triangles: I64, camera: Views, radius: float, colour: tupl
     normal = _normals(np.where(hit, depth, np.nan), K)
     key = np.clip(normal @ (_KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)), 0, 1)
     facing = np.clip(-normal[..., 2], 0, 1)
-    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, width)
+    light = (0.30 + 0.25 * facing + 0.55 * key) * _occlusion(depth, hit, radius, supersample)
     image = np.where(hit[..., None], np.clip(light, 0, 1)[..., None] * np.asarray(colour), 1.0)
     image = image.reshape(height // supersample, supersample, width // supersample, supersample, 3)
     return (255 * np.clip(image.mean(axis=(1, 3)), 0, 1) ** (1 / 1.2) + 0.5).astype(np.uint8)
@@ -200,14 +200,25 @@ def _normals(depth: F64, K: F64) -> F64:
     return np.where((unit * ray).sum(axis=-1, keepdims=True) > 0, -unit, unit)
 
 
-def _occlusion(depth: F64, hit: Bool, radius: float, n: int) -> F64:
+def _occlusion(depth: F64, hit: Bool, radius: float, supersample: int) -> F64:
     """Factor (H, W) in 0.45..1: darker where the surroundings are nearer than the pixel."""
-    from scipy.ndimage import gaussian_filter
-
+    n = depth.shape[1]
     filled = np.where(hit, depth, 0.0)
     total = np.ones_like(depth)
     for width in (n / 90, n / 30):
-        weight = gaussian_filter(hit.astype(np.float64), width)
-        mean = gaussian_filter(filled, width) / np.maximum(weight, 1e-6)
-        total -= 2.2 * np.clip(np.where(hit, depth, 0.0) - mean, 0, 0.12 * radius) / radius
+        mean = _blurred(filled, width, supersample) / np.maximum(_blurred(hit, width, supersample), 1e-6)
+        total -= 2.2 * np.clip(filled - mean, 0, 0.12 * radius) / radius
     return np.clip(total, 0.45, 1.0)
+
+
+def _blurred(image: F64 | Bool, width: float, step: int) -> F64:
+    """An image under a Gaussian of standard deviation `width` pixels, reflected at the border.
+
+    It is blurred in means of `step` x `step` pixels, and in float32: so wide a Gaussian leaves nothing finer.
+    """
+    import cv2
+
+    height, n = image.shape
+    small = cv2.resize(image.astype(np.float32), (n // step, height // step), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), width / step, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(cv2.resize(small, (n, height), interpolation=cv2.INTER_LINEAR), np.float64)
