@@ -202,23 +202,21 @@ def _normals(depth: F64, K: F64) -> F64:
 
 def _occlusion(depth: F64, hit: Bool, radius: float, supersample: int) -> F64:
     """Factor (H, W) in 0.45..1: darker where the surroundings are nearer than the pixel."""
-    n = depth.shape[1]
-    filled = np.where(hit, depth, 0.0)
-    total = np.ones_like(depth)
-    for width in (n / 90, n / 30):
-        mean = _blurred(filled, width, supersample) / np.maximum(_blurred(hit, width, supersample), 1e-6)
-        total -= 2.2 * np.clip(filled - mean, 0, 0.12 * radius) / radius
-    return np.clip(total, 0.45, 1.0)
-
-
-def _blurred(image: F64 | Bool, width: float, step: int) -> F64:
-    """An image under a Gaussian of standard deviation `width` pixels, reflected at the border.
-
-    It is blurred in means of `step` x `step` pixels, and in float32: so wide a Gaussian leaves nothing finer.
-    """
     import cv2
 
-    height, n = image.shape
-    small = cv2.resize(image.astype(np.float32), (n // step, height // step), interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), width / step, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(cv2.resize(small, (n, height), interpolation=cv2.INTER_LINEAR), np.float64)
+    height, n = depth.shape
+    filled = np.where(hit, depth, 0.0)
+    # So wide a Gaussian leaves nothing fine: it is taken of the means of the picture's pixels, in float32.
+    pixels = (n // supersample, height // supersample)
+    depths, hits = (np.asarray(cv2.resize(image.astype(np.float32), pixels, interpolation=cv2.INTER_AREA),
+                               np.float32) for image in (filled, hit))
+
+    def blurred(image: F32, width: float) -> F64:
+        wide = cv2.GaussianBlur(image, (0, 0), width, borderType=cv2.BORDER_REFLECT)
+        return np.asarray(cv2.resize(wide, (n, height), interpolation=cv2.INTER_LINEAR), np.float64)
+
+    total = np.ones_like(depth)
+    for width in (n / 90 / supersample, n / 30 / supersample):
+        mean = blurred(depths, width) / np.maximum(blurred(hits, width), 1e-6)
+        total -= 2.2 * np.clip(filled - mean, 0, 0.12 * radius) / radius
+    return np.clip(total, 0.45, 1.0)
