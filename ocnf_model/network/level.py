@@ -14,6 +14,7 @@ from ocnf_model.network.choices import Join, Normaliser, Output
 from ocnf_model.network.normalise import NormalisedConv3d
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import DenseContext, FusionBlend, OctreeConv3d, concat, grid_pool, grid_unpool
+from ocnf_model.ops.conv import draw_weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ class Level(nn.Module):
             self.head = OctreeConv3d(wide, 1)
         else:
             self.head = nn.Linear(wide, 1)
-            nn.init.kaiming_normal_(self.head.weight, nonlinearity="linear")
+            draw_weights(self.head.weight, "linear")
             nn.init.zeros_(self.head.bias)
         self.blend = blend
 

@@ -96,8 +96,9 @@ class OctNetFusion(nn.Module):
             made = Level(
                 read, self.channels, self.join, self.output, 0 if level else context, residual,
                 self.normalise, FusionBlend(self.encoding, column, self.channels[0]) if blend else None)
-            if level < finer:  # new weights are He's for what is read without the gain
-                made.state_dict()["first.0.weight"][:, column + self.in_channels:] /= GAIN
+            weight = made.state_dict()["first.0.weight"]
+            if level < finer and not weight.is_meta:  # new ones are He's for what is read without the gain
+                weight[:, column + self.in_channels:] /= GAIN
             self.levels.append(made)
         self.set_checkpointing(checkpointing)
 

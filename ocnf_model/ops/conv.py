@@ -14,7 +14,7 @@ in the cache, and multiply. The backward pass gathers once, for both products, a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -53,7 +53,7 @@ class OctreeConv3d(nn.Module):
 
     def reset_parameters(self) -> None:
         """Draw the weights after He et al. (2015); zero bias."""
-        nn.init.kaiming_normal_(self.weight, nonlinearity="relu")
+        draw_weights(self.weight, "relu")
         if self.bias is not None:
             nn.init.zeros_(self.bias)
 
@@ -64,6 +64,16 @@ class OctreeConv3d(nn.Module):
     def extra_repr(self) -> str:
         """The numbers of channels, and whether there is a bias, for `repr`."""
         return f"{self.in_channels}, {self.out_channels}, bias={self.bias is not None}"
+
+
+def draw_weights(weight: Tensor, nonlinearity: Literal["relu", "linear"]) -> None:
+    """Normal numbers after He et al. (2015), for what has storage.
+
+    For a network that is made for its shapes alone, PyTorch would import its compiler to draw nothing: a
+    second of every command that opens a run.
+    """
+    if not weight.is_meta:
+        nn.init.kaiming_normal_(weight, nonlinearity=nonlinearity)
 
 
 def octree_conv(x: OctreeBatch, weight: Tensor, bias: Tensor | None = None) -> OctreeBatch:
