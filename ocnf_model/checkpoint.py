@@ -3,6 +3,8 @@
     RUN/level-1.safetensors     weights of the first level, of its best epoch; the header is JSON
     RUN/level-1.json            the same header, to look at; nothing reads it
 
+Weights may be stored in half precision, which halves the file, and are read as single.
+
 A later level was trained on the outputs of certain weights of the level before: its header names them by
 checksum, so that levels of different runs, or of an unfinished mixture, are not put together.
 """
@@ -199,16 +201,21 @@ def torch_version() -> str:
 
 
 def _check_kinds(path: Path, found: Mapping[str, TensorKind], expected: Mapping[str, TensorKind]) -> None:
-    """Refuse tensors of other names, dtypes or shapes than the network's."""
+    """Refuse tensors of other names, dtypes or shapes than the network's; F16 may stand for F32."""
     if missing := sorted(expected.keys() ^ found.keys()):
         raise _misfit(path, missing[0], "there" if missing[0] in found else "nothing",
                       f"the tensors {', '.join(expected)}")
     for name, kind in found.items():
-        if kind != expected[name]:
-            raise _misfit(path, name, f"{kind.dtype} {kind.shape}",
-                          f"{expected[name].dtype} {expected[name].shape}")
+        wanted = expected[name]
+        halved = kind.dtype == "F16" and wanted.dtype == "F32"
+        if kind.shape != wanted.shape or (kind.dtype != wanted.dtype and not halved):
+            raise _misfit(path, name, f"{kind.dtype} {kind.shape}", f"{wanted.dtype} {wanted.shape}")
 
 
 def _misfit(path: Path, field: str, found: object, expected: object) -> OcnfError:
     return OcnfError("the checkpoint does not fit the network", code="misfit", where=path, field=field,
-                     found=found, expected=expected)
+                     found=_shown(found), expected=_shown(expected))
+
+
+def _shown(value: object) -> object:
+    return "null" if value is None else value

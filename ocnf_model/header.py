@@ -38,6 +38,7 @@ class Architecture(Strict):
     blend: bool = False
     finer: Annotated[Int, Field(ge=0, le=16)] = 0
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
+    first_channels: tuple[Channels, Channels, Channels] | None = None
 
     @classmethod
     def of(cls, source: object) -> Architecture:

@@ -4,6 +4,7 @@ from ocnf_model.network.choices import Carry, Join, Normaliser, Output
 from ocnf_model.network.level import Level, LevelOutput
 from ocnf_model.network.network import OctNetFusion
 from ocnf_model.network.normalise import fold_normalisation, freeze_statistics
+from ocnf_model.network.widen import reading_wider, widened
 
 __all__ = ["Carry", "Join", "Level", "LevelOutput", "Normaliser", "OctNetFusion", "Output",
-           "fold_normalisation", "freeze_statistics"]
+           "fold_normalisation", "freeze_statistics", "reading_wider", "widened"]

@@ -54,6 +54,8 @@ class OctNetFusion(nn.Module):
             Where the inputs end before it, it is guessed from their last one, which costs most of the gain.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
         extra_channels: channels that every input has behind the encoding's, 0 or more.
+        first_channels: those of the first level, where they are others: it costs the least, and what it
+            believes the later ones inherit. None for `channels` (the paper).
 
     Attributes:
         precision: what `evaluate`, `fuse` and the like let it compute in, where the device is fast in that:
@@ -68,6 +70,7 @@ class OctNetFusion(nn.Module):
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
         band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normaliser.NONE,
         blend: bool = False, finer: int = 0, checkpointing: bool = False, extra_channels: int = 0,
+        first_channels: Sequence[int] | None = None,
     ) -> None:
         super().__init__()
         self.encoding = choice(Encoding, "encoding", encoding)
@@ -76,10 +79,8 @@ class OctNetFusion(nn.Module):
         if levels < 1:
             raise OcnfError("too few levels", where="OctNetFusion", field="levels", found=levels,
                             expected="at least 1")
-        if len(channels) != 3 or min(channels) < 1:
-            raise OcnfError("not channels", where="OctNetFusion", field="channels", found=channels,
-                            expected="three positive numbers")
-        self.channels = channels[0], channels[1], channels[2]
+        self.channels = _widths("channels", channels)
+        self.first_channels = None if first_channels is None else _widths("first_channels", first_channels)
         self.band, self.context, self.residual = band, context, residual
         self.normalise = choice(Normaliser, "normalise", normalise)
         self.precision = Precision.FLOAT32
@@ -88,19 +89,25 @@ class OctNetFusion(nn.Module):
             raise OcnfError("only a TSDF can be blended with that of plain fusion", where="OctNetFusion",
                             field="blend", found=blend, expected="false, or output: tsdf")
         self.in_channels = self.encoding.channels + extra_channels
-        carried = self.channels[0] if self.carry is Carry.FEATURES else 1
         self.levels = nn.ModuleList()
+        column = 0  # of the first channel of the encoding, behind what the level before carries up
         for level in range(levels):
-            column = carried if level else 0  # of the first channel of the encoding
+            widths = self.channels if level else self.first_widths
             read = column + (2 if level < finer else 1) * self.in_channels
             made = Level(
-                read, self.channels, self.join, self.output, 0 if level else context, residual,
-                self.normalise, FusionBlend(self.encoding, column, self.channels[0]) if blend else None)
+                read, widths, self.join, self.output, 0 if level else context, residual,
+                self.normalise, FusionBlend(self.encoding, column, widths[0]) if blend else None)
             weight = made.state_dict()["first.0.weight"]
             if level < finer and not weight.is_meta:  # new ones are He's for what is read without the gain
                 weight[:, column + self.in_channels:] /= GAIN
             self.levels.append(made)
+            column = widths[0] if self.carry is Carry.FEATURES else 1
         self.set_checkpointing(checkpointing)
+
+    @property
+    def first_widths(self) -> tuple[int, int, int]:
+        """The channels of the first level."""
+        return self.first_channels or self.channels
 
     def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:
         """The reconstruction of each level, TSDF / tau or probability of occupancy, on its own structure.
@@ -204,3 +211,10 @@ class OctNetFusion(nn.Module):
         if any(n % 32 for n in inputs[0].shape):
             raise OcnfError("two poolings need shapes that are multiples of 32", where="OctNetFusion",
                             field="inputs[0]", found=inputs[0].structure.describe())
+
+
+def _widths(field: str, channels: Sequence[int]) -> tuple[int, int, int]:
+    if len(channels) != 3 or min(channels) < 1:
+        raise OcnfError("not channels", where="OctNetFusion", field=field, found=channels,
+                        expected="three positive numbers")
+    return channels[0], channels[1], channels[2]

@@ -17,7 +17,14 @@ from ocnf_model.checkpoint import (
     trained_levels,
 )
 from ocnf_model.header import Architecture
-from ocnf_model.network import Level, Normaliser, OctNetFusion, fold_normalisation
+from ocnf_model.network import (
+    Carry,
+    Normaliser,
+    OctNetFusion,
+    fold_normalisation,
+    reading_wider,
+    widened,
+)
 from ocnf_model.ops import FusionBlend
 from ocnf_model.training.record import is_begun, read_record
 from ocnf_model.training.settings import TrainSettings, read_settings
@@ -91,8 +98,9 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     """The network before training, and how many levels have the weights of the run that it starts from.
 
     That run's network may lack a blend, or the first level's context: they begin as new ones do. Fewer of its
-    levels may read a finer encoding: what it adds counts for nothing at first. And it may have batch
-    normalisation where this one has none: that is folded into its convolutions.
+    levels may read a finer encoding: what it adds counts for nothing at first. Its first level may be
+    narrower: it is widened as the same function. And it may have batch normalisation where this one has none:
+    that is folded into its convolutions.
 
     Raises:
         OcnfError: the run to start from is missing, damaged or of another network.
@@ -109,17 +117,22 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     n_started = min(trained_levels(folder), settings.levels)
     for level, own in zip(range(n_started), network.levels, strict=False):
         given = _given_level(folder, settings, level)
-        weights = given.state_dict()
+        weights = given.levels[level].state_dict()
         if network.normalise is Normaliser.NONE:
             weights = fold_normalisation(weights)
+        before, after = given.first_widths, network.first_widths
+        if level == 0 and before != after:
+            weights = widened(weights, before, after, settings.seed)
+        elif level == 1 and before != after and network.carry is Carry.FEATURES:
+            weights[_READS] = reading_wider(weights[_READS], before[0], after[0], settings.seed)
         new = own.state_dict()[_READS].shape[1] - weights[_READS].shape[1]  # channels, without a say at first
         weights[_READS] = pad(weights[_READS], (0, 0, 0, 0, 0, 0, 0, new))  # (C_out, C_in, 3, 3, 3)
         own.load_state_dict(weights, strict=False)  # `load_level` has seen to it that nothing else lacks
     return network, n_started
 
 
-def _given_level(folder: Path, settings: TrainSettings, level: int) -> Level:
-    """A level (from 0) of the run to start from: as the settings say, but for what may lack."""
+def _given_level(folder: Path, settings: TrainSettings, level: int) -> OctNetFusion:
+    """A level (from 0) of the run to start from, in a network: as the settings say, but for what may lack."""
     wanted, there = Architecture.of(settings), level_architecture(folder, level)
     may_begin = level < wanted.finer or level >= there.finer  # to read one resolution more, or not to
     network = wanted.model_copy(update={
@@ -127,8 +140,12 @@ def _given_level(folder: Path, settings: TrainSettings, level: int) -> Level:
         "context": wanted.context if there.context else 0,
         "finer": there.finer if may_begin else wanted.finer,
         "normalise": there.normalise if wanted.normalise is Normaliser.NONE else wanted.normalise,
+        "first_channels": there.first_channels if _widens(there, wanted) else wanted.first_channels,
     }).network(level + 1)
     load_level(folder, network, level)
-    given = network.levels[level]
-    assert isinstance(given, Level)
-    return given
+    return network
+
+
+def _widens(there: Architecture, wanted: Architecture) -> bool:
+    before, after = (one.first_channels or one.channels for one in (there, wanted))
+    return not wanted.residual and all(a >= b for a, b in zip(after, before, strict=True))

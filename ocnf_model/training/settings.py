@@ -127,6 +127,9 @@ class TrainSettings(Strict):
     """What is reconstructed; None for the data set's target."""
     channels: tuple[Channels, Channels, Channels] = (16, 32, 64)
     """Features at the level's resolution, at half and at a quarter of it."""
+    first_channels: tuple[Channels, Channels, Channels] | None = None
+    """Those of the first level, which costs the least and which the later ones rely on; None for
+    `channels` (the paper)."""
     band: Annotated[Real, Field(gt=0)] = 1.0
     """How far from the reconstructed surface the next level's cells are split, in its voxels."""
     context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
@@ -156,7 +159,8 @@ class TrainSettings(Strict):
     start: str | None = None
     """A run, or `pretrained`, whose weights the levels begin with; None, and for levels that it lacks: random
     ones for the first, those of the level before for later ones. What the settings leave out of the
-    architecture is as it is there; `blend`, `context` and `finer` may be new, batch normalisation may go."""
+    architecture is as it is there; `blend`, `context`, `finer` and a wider first level may be new, batch
+    normalisation may go."""
     seed: Annotated[Int, Field(ge=0)] = 0
     """The seed of the first weights, the order of the samples and the augmentation."""
     augment: Augment = Augment.NONE

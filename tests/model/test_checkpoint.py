@@ -78,6 +78,21 @@ def test_what_is_written_is_what_is_read(tmp_path) -> None:
         == (tmp_path / "run/level-2.safetensors").read_bytes()
 
 
+def test_weights_in_half_precision_are_read_as_single(folder: Path) -> None:
+    whole = load_run(folder)
+    for level in (1, 2):
+        path = folder / f"level-{level}.safetensors"
+        rewrite(path, lambda weights, header: (
+            weights.update({name: value.half() for name, value in weights.items()}),
+            header.update(built_on=checkpoint_sha256(folder, 1) if header["level"] == 2 else None)))
+    for name, value in load_run(folder).state_dict().items():
+        assert value.dtype == torch.float32
+        assert torch.equal(value, whole.state_dict()[name].half().float())
+    rewrite(path, lambda weights, header: weights.update({"head.bias": weights["head.bias"].bfloat16()}))
+    with pytest.raises(OcnfError, match=r"head.bias: .*BF16 \(1,\), expected F32 \(1,\)"):
+        load_run(folder)
+
+
 @pytest.mark.parametrize(("change", "message"), [
     (lambda w, h: h.update(schema=2), "another schema version; found 2, expected 1"),
     (lambda w, h: h.pop("schema"), "another schema version"),
@@ -89,7 +104,7 @@ def test_what_is_written_is_what_is_read(tmp_path) -> None:
     (lambda w, h: w.pop("head.bias"), "head.bias: the checkpoint does not fit the network; found nothing"),
     (lambda w, h: w.update(extra=torch.zeros(1)), "extra: the checkpoint does not fit.*found there"),
     (lambda w, h: w.update({"head.bias": torch.zeros(2)}), r"head.bias: .*F32 \(2,\).*F32 \(1,\)"),
-    (lambda w, h: w.update({"head.bias": w["head.bias"].half()}), "head.bias: .*found F16"),
+    (lambda w, h: w.update({"head.bias": w["head.bias"].bfloat16()}), "head.bias: .*found BF16"),
     (lambda w, h: w["head.bias"].fill_(float("nan")), "head.bias: weights that are not finite"),
 ])
 def test_a_checkpoint_that_is_wrong_is_refused(change, message, folder) -> None:

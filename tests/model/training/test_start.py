@@ -105,6 +105,28 @@ def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:
         train(tiny, tmp_path / "back", small(context=0, start=str(tmp_path / "wider")), device="cpu")
 
 
+def test_the_first_level_may_be_wider(tiny, small, make_batch, tmp_path) -> None:
+    plain = train(tiny, tmp_path / "plain", small(blend=True), device="cpu")
+    start = {"blend": True, "stages": [STILL], "start": str(tmp_path / "plain")}
+    wider = train(tiny, tmp_path / "wider", small(first_channels=[4, 5, 4], **start), device="cpu")
+    inputs = [make_batch(level, (4 << level,) * 3, 2, 1, 0.3, torch.float32) for level in range(2)]
+    with torch.no_grad():
+        for ours, theirs in zip(wider(inputs), plain(inputs), strict=True):
+            torch.testing.assert_close(ours.features, theirs.features, rtol=1e-4, atol=1e-5)
+    assert load_run(tmp_path / "wider").first_channels == (4, 5, 4)
+    taken = small(blend=True, stages=[STILL], start=str(tmp_path / "wider"))
+    with pytest.raises(OcnfError, match=r"first_channels: .*found \(4, 5, 4\), expected null"):
+        train(tiny, tmp_path / "back", taken.model_copy(update={"first_channels": None}), device="cpu")
+    bare = merge_options(None, {"start": str(tmp_path / "wider"), "levels": 2, "workers": 0},
+                         {"epochs": "1", "learning_rate": "1e-30"})
+    assert same(train(tiny, tmp_path / "again", bare, device="cpu"), load_run(tmp_path / "wider"))
+    residual = train(tiny, tmp_path / "residual", small(residual=True), device="cpu")
+    assert residual.first_channels is None  # which convolutions add their input depends on the channels
+    with pytest.raises(OcnfError, match=r"first_channels: .*found null, expected \(4, 5, 4\)"):
+        train(tiny, tmp_path / "no", small(residual=True, first_channels=[4, 5, 4], stages=[STILL],
+                                           start=str(tmp_path / "residual")), device="cpu")
+
+
 @pytest.mark.parametrize("normalise", ["none", "batch"])
 def test_levels_may_begin_to_read_what_is_finer(normalise, tiny, small, tmp_path) -> None:
     plain = train(tiny, tmp_path / "plain", small(normalise=normalise), device="cpu")
