@@ -37,7 +37,7 @@ def test_the_card_gives_the_validation_errors_of_the_files() -> None:
 
 def test_info_shows_it() -> None:
     result = CliRunner().invoke(app, ["info", "pretrained"], env={"COLUMNS": "120"})
-    assert result.exit_code == 0 and "4,283,414" in result.output
+    assert result.exit_code == 0 and "5,157,822" in result.output
 
 
 def test_the_weights_of_tvl1_were_chosen_for_its_data() -> None:
