@@ -186,8 +186,12 @@ def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
         keys.append(name)
     twice = [key for key, n in Counter(key.lower() for key in keys).items() if n > 1]
     if twice:
-        raise OcnfError("two items have the same key, if case is ignored", field="source.items",
-                        found=twice[0], expected="keys of their own")
+        made = any(entry.path is None for key, entry in zip(keys, entries, strict=True)
+                   if key.lower() == twice[0])
+        raise OcnfError("two items have the same key, if case is ignored",
+                        field="source.parts" if made else "source.items",
+                        found=twice[0], expected="keys of their own",
+                        fix="name each category of shapes or scenes in one part alone" if made else None)
     return keys
 
 

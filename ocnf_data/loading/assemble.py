@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ocnf_data.arrays import I64
@@ -70,14 +70,16 @@ class Assembler:
         """
         places, repeat = self._partition.places(step)
         spares = self._partition.spares(step)
-        good: list[tuple[RawSample, bool]] = []
         lost: list[Lost] = []
-        for sample, again in zip(order[places].tolist(), repeat.tolist(), strict=True):
-            fetched = self._try(sample, epoch, lost)
-            if fetched is not None:
-                good.append((fetched, again))
+        fetched = [(self._try(sample, epoch, lost), again)
+                   for sample, again in zip(order[places].tolist(), repeat.tolist(), strict=True)]
+        own = [sample for sample, _ in fetched if sample is not None]
+        good: list[tuple[RawSample, bool]] = []
+        for sample, again in fetched:
+            if sample is not None:
+                good.append((sample, again))
             elif self._partition.uneven is not Uneven.EXACT:
-                good.append((self._stand_in(order, epoch, spares, lost), True))
+                good.append((self._stand_in(order, epoch, spares, lost, own), True))
         samples = tuple(sample for sample, _ in good)
         symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.key) for sample in samples)
         if self._augment is not Augment.NONE:
@@ -88,11 +90,15 @@ class Assembler:
         """Keys of the samples that this rank lost in an epoch, unless a later one lost them again."""
         return [self._keys[sample] for sample in self._lost.of(epoch)]
 
-    def _stand_in(self, order: I64, epoch: int, spares: Iterator[int], lost: list[Lost]) -> RawSample:
+    def _stand_in(self, order: I64, epoch: int, spares: Iterator[int], lost: list[Lost],
+                  own: Sequence[RawSample]) -> RawSample:
+        """The next sample behind the batch; where there is none, the batch's own in turn."""
         for place in spares:
             fetched = self._try(int(order[place]), epoch, lost)
             if fetched is not None:
                 return fetched
+        if own:
+            return own[len(lost) % len(own)]
         raise OcnfError("no sample is left to replace a damaged one", code="too_many_bad",
                         where="ShardDataset", found=lost[-1].error)
 

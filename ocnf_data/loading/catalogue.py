@@ -157,6 +157,13 @@ def open_catalogue(urls: Sequence[str], request: Request) -> Catalogue:
     if not urls:
         raise OcnfError("no data set is given", code="empty", where="ShardDataset", field="urls")
     infos = [load_dataset(url) for url in urls]
+    for i, info in enumerate(infos):
+        same = next(j for j, other in enumerate(infos) if other.checksum == info.checksum)
+        if same < i:
+            raise OcnfError("a data set is given twice, and each of its samples would count twice",
+                            where="ShardDataset", field="urls", found=f"{urls[same]} and {urls[i]}",
+                            expected="each once", fix="to draw from one more often, give it a weight in a "
+                            "MixtureDataset")
     _check_agreement(urls, infos)
     for url, info in zip(urls, infos, strict=True):
         if request.split not in info.splits:

@@ -16,6 +16,7 @@ from ocnf_data.loading.cursor import Position
 
 STATE_SCHEMA: Final = 1
 _LARGEST = 2**62
+_NEW = frozenset({"parts"})  # fields that states of earlier versions lack; they are not compared there
 
 
 def make_state(position: Position, order: Mapping[str, Any]) -> dict[str, Any]:
@@ -41,6 +42,8 @@ def read_state(state: Mapping[str, Any], order: Mapping[str, Any]) -> Position:
     if state.get("schema") != STATE_SCHEMA:
         raise _misfit("the state has another schema version", "schema", state.get("schema"), STATE_SCHEMA)
     for field in (*expected, *(field for field in state if field not in expected)):
+        if field not in state and field in _NEW:
+            continue
         if field not in state:
             raise _misfit("the state lacks a field", field, "nothing", expected[field])
         if field not in expected:

@@ -38,7 +38,9 @@ class _HasSupply(Protocol):
 
 
 class MixtureDataset(DrawnDataset):
-    """Batches out of several data sets with weights; the parts' own batch sizes and ranks do not count.
+    """Batches out of several data sets with weights.
+
+    The parts' own batch sizes, ranks, augmentation and handling of errors do not count.
 
     Args:
         parts: (data set, weight) of each: a `ShardDataset` (of one variant of its inputs) or a
@@ -76,13 +78,13 @@ class MixtureDataset(DrawnDataset):
     ) -> None:
         supplies = [(dataset.supply(), weight) for dataset, weight in parts]
         n_samples = whole("samples_per_epoch", samples_per_epoch, least=1)
-        super().__init__(MixtureSupply(supplies, whole("seed", seed, least=0)), n_samples, seed=seed,
-                         batch_size=batch_size, rank=rank, world_size=world_size, on_error=on_error,
-                         uneven=uneven, drop_last=drop_last, augment=augment,
-                         max_bad_fraction=max_bad_fraction)
+        self._mixed = MixtureSupply(supplies, whole("seed", seed, least=0))
+        super().__init__(self._mixed, n_samples, seed=seed, batch_size=batch_size, rank=rank,
+                         world_size=world_size, on_error=on_error, uneven=uneven, drop_last=drop_last,
+                         augment=augment, max_bad_fraction=max_bad_fraction)
 
     def _order(self) -> dict[str, Any]:
-        return {"mixture": self.checksum, **self._drawn_order()}
+        return {"mixture": self.checksum, "parts": self._mixed.order[1:], **self._drawn_order()}
 
 
 class MixtureSupply:
@@ -104,6 +106,11 @@ class MixtureSupply:
         self.checksum = sha256_hex(canonical_json([
             [supply.checksum, supply.request.variant, supply.request.split, supply.request.categories, weight]
             for supply, weight in parts]))
+
+    @property
+    def order(self) -> list[Any]:
+        """What the order of samples depends on beside them: the seed, and the same of each part."""
+        return [self._seed, *(supply.order for supply in self._supplies)]
 
     @property
     def manifest(self) -> dict[str, Any]:

@@ -32,6 +32,11 @@ class ShardSupply:
         self._order: I64
 
     @property
+    def order(self) -> list[Any]:
+        """Seed, buffer and whether it shuffles."""
+        return [self._seed, self._buffer, self._shuffle]
+
+    @property
     def manifest(self) -> dict[str, Any]:
         """The manifest of the (first) data set."""
         return self._catalogue.manifest

@@ -31,6 +31,10 @@ class Supply(Protocol):
         """SHA-256 of all that samples depend on."""
 
     @property
+    def order(self) -> list[Any]:
+        """What else the sample of a number depends on, such as the seed: JSON values."""
+
+    @property
     def manifest(self) -> dict[str, Any]:
         """The resolved manifest, which says what the values mean."""
 

@@ -88,7 +88,7 @@ def open_sources(manifest: Manifest, meshes: Path | None, split: str,
         manifest = manifest.model_copy(update={"synthesis": Synthesis()})
     assert manifest.synthesis is not None
     parts = source.parts if isinstance(source, MixtureSource) else (SourcePart(source=source),)
-    items = {item.source: item for item in list_items(manifest, meshes, (split,))[0]}
+    items = {item.source: item for item in list_items(_each_once(manifest, split), meshes, (split,))[0]}
     pools = tuple(pool for pool in (_pool(part, items, meshes, manifest.seed, split, categories)
                                     for part in parts) if pool.items or pool.categories)
     found = {item.category for pool in pools for item in pool.items}
@@ -99,6 +99,25 @@ def open_sources(manifest: Manifest, meshes: Path | None, split: str,
                         found=None if categories is None else f"no {', '.join(set(categories) - found)}")
     return Sources(manifest, None if meshes is None else str(meshes), split, pools,
                    _checksum(manifest, split, pools))
+
+
+def _each_once(manifest: Manifest, split: str) -> Manifest:
+    """The manifest without procedural parts that share a category with an earlier one, as keys may not.
+
+    What is drawn from them are no items: they may.
+    """
+    if not isinstance(manifest.source, MixtureSource):
+        return manifest
+    parts: list[SourcePart] = []
+    seen: set[str] = set()
+    for part in manifest.source.parts:
+        if isinstance(part.source, ShapesSource | ScenesSource):
+            names = set(part.source.names(split))
+            if names & seen:
+                continue
+            seen |= names
+        parts.append(part)
+    return manifest.model_copy(update={"source": manifest.source.model_copy(update={"parts": tuple(parts)})})
 
 
 def _pool(part: SourcePart, items: Mapping[str, Item], meshes: Path | None, seed: int, split: str,

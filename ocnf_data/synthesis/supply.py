@@ -42,6 +42,11 @@ class SynthesisSupply:
         return self._sources.checksum
 
     @property
+    def order(self) -> list[Any]:
+        """The seed."""
+        return [self._seed]
+
+    @property
     def manifest(self) -> dict[str, Any]:
         """The resolved manifest, with its `synthesis` section."""
         return self._sources.manifest.to_dict()

@@ -78,8 +78,20 @@ class Views:
         return np.asarray(-np.einsum("vji,vj->vi", self.R, self.T))
 
     def subset(self, indices: Sequence[int] | npt.NDArray[np.integer]) -> Views:
-        """The views at `indices`, in that order."""
-        index = np.asarray(indices, dtype=np.int64)
+        """The views at `indices`, in that order, or those where a mask (V,) of bool is true.
+
+        Raises:
+            OcnfError: neither whole numbers nor such a mask, or there is no such view.
+        """
+        index = np.asarray(indices)
+        if index.dtype == bool and index.shape == (len(self),):
+            index = np.flatnonzero(index)
+        whole = index.ndim == 1 and index.size and np.issubdtype(index.dtype, np.integer)
+        if not whole or not -len(self) <= index.min() <= index.max() < len(self):
+            raise OcnfError("no such views", where="Views", field="indices", found=indices,
+                            expected=f"whole numbers from 0 to {len(self) - 1}, at least one, or a mask of "
+                                     f"{len(self)}")
+        index = index.astype(np.int64)
         return Views(self.depth[index], self.K[index], self.R[index], self.T[index])
 
     def with_depth(self, depth: F32) -> Views:

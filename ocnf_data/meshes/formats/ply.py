@@ -96,7 +96,7 @@ def parse_ply(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
 
 def _parse_header(text: bytes, where: str) -> tuple[str, list[_Element]]:
     form, elements = "", list[_Element]()
-    for number, raw in enumerate(text.decode("latin-1").splitlines(), start=2):
+    for number, raw in enumerate(text.decode("latin-1").split("\n"), start=2):
         match raw.split():
             case ["format", name, _] if name in _ENDIAN:
                 form = name
@@ -122,9 +122,10 @@ def _parse_ascii(body: bytes, elements: list[_Element], where: str) -> tuple[F64
     """Vertices, the numbers of the file, and where in them each polygon's corners begin and their count."""
     values, counts = parse_numbers(np.frombuffer(plain_text(body), np.uint8), where, np.float64)
     counts = counts[counts > 0]
-    if counts.size < sum(e.count for e in elements):
-        raise unreadable("the file ends early", where, found=f"{counts.size} lines",
-                         expected=sum(e.count for e in elements))
+    n_rows = sum(e.count for e in elements)
+    if counts.size != n_rows:
+        raise unreadable("the file ends early" if counts.size < n_rows else "the file holds more than its "
+                         "header says", where, found=f"{counts.size} lines", expected=n_rows)
     starts = np.cumsum(counts) - counts
     vertices = np.empty((0, 3))
     first = n_corners = np.empty(0, np.int64)
@@ -178,6 +179,9 @@ def _parse_binary(body: bytes, elements: list[_Element], where: str) -> tuple[F6
             k = np.arange(n_corners.sum()) - np.repeat(first, n_corners)
             position = np.repeat(begin, n_corners) + k * dtype.itemsize
             corners = buffer[position[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
+    if body[at:].strip(b"\0\r\n\t "):
+        raise unreadable("the file holds more than its header says", where,
+                         found=f"{buffer.size} bytes of data", expected=at)
     return vertices.astype(np.float64), corners, first, n_corners
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ocnf_data.meshes.formats.polygons import (
 
 _HEADER_BYTES = 84  # 80 of free text, then the number of triangles
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_WORDS = re.compile(rb"^[ \t]*(solid|endsolid|facet|endfacet)\b", re.IGNORECASE | re.MULTILINE)
 _VERTEX = re.compile(rb"\bvertex\b([^\n]*\n)", re.IGNORECASE)
 
 
@@ -29,12 +31,20 @@ def parse_stl(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
         check_face_count(n, max_faces, where)
         corners = np.frombuffer(data, _RECORD, n, _HEADER_BYTES)["corners"]
         vertices = corners.reshape(-1, 3).astype(np.float64)
-    elif data[:512].lstrip()[:5].lower() == b"solid":
+    elif data[:512].lstrip()[:5].lower() == b"solid" and (_VERTEX.search(data) or b"endsolid" in data):
         check_face_count(data.count(b"vertex") // 3, max_faces, where)
-        lines = np.frombuffer(b"".join(_VERTEX.findall(plain_text(data))), np.uint8)
+        text = plain_text(data)
+        lines = np.frombuffer(b"".join(_VERTEX.findall(text)), np.uint8)
         values, counts = parse_numbers(lines, where, np.float64)
         if (counts != 3).any() or counts.size % 3:
             raise unreadable("a triangle has not three corners of three coordinates", where)
+        words = Counter(word.lower() for word in _WORDS.findall(text))
+        n_facets, n_solids = counts.size // 3, words[b"solid"]
+        if not (words[b"facet"] == words[b"endfacet"] == n_facets and words[b"endsolid"] == n_solids):
+            raise unreadable("the file ends early, or a triangle has no end", where,
+                             found=f"facet {words[b'facet']}, endfacet {words[b'endfacet']}, solid "
+                                   f"{n_solids}, endsolid {words[b'endsolid']} times",
+                             expected=f"{n_facets} of the first two, and as many of the others")
         vertices = values.reshape(-1, 3)
     else:
         raise unreadable("not an STL file: it does not hold the number of triangles it claims", where,

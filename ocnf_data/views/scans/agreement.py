@@ -30,6 +30,8 @@ _FEW = 0.3  # less than this share agreeing is worth a warning
 _BETTER = 0.1  # another reading has to agree by this much more to be named
 _PAST = 0.05  # poses are in doubt if more than this share is seen past; under wrong ones it is 10 to 40 %
 _MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under another reading to be sure of it
+_CLOSE = 10 * _LEAST  # metres; nearer than that almost anything is within the least tolerance
+_FAR = 20  # times the typical depth: cameras this far apart are not of one scan
 _SAMPLE = 100_000  # depths that the typical one is of
 
 
@@ -53,8 +55,11 @@ class Agreement:
 
     def __str__(self) -> str:
         """Both figures, as a clause."""
-        return f"{_percent(self.share)} of the depths agree as read, {_percent(self.inverse)} " \
-               "with the poses the other way round"
+        if np.isnan(self.share) and np.isnan(self.inverse):
+            return "there is nothing that two frames have both measured"
+        as_read = "nothing can be compared" if np.isnan(self.share) else \
+            f"{_percent(self.share)} of the depths agree"
+        return f"{as_read} as read, {_percent(self.inverse)} with the poses the other way round"
 
 
 def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
@@ -84,7 +89,10 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     """
     spread, typical = float(np.ptp(views.centres, axis=0).max()), _typical(views)
     weak = not found.share >= _FEW  # NaN is weak
-    if weak and found.millimetres > _SURE and spread > 20 * typical:
+    if typical < _LEAST or (weak and typical < _CLOSE and spread > _FAR * typical):
+        return [f"the depths look too small: half of them are below {typical:.2g} m, with cameras spread "
+                f"over {spread:.2g} m; check the depth scale (1 for values in metres)"]
+    if weak and found.millimetres > _SURE and spread > _FAR * typical:
         raise OcnfError(
             "the translations of the poses look like millimetres", where=where,
             found=f"cameras spread over {spread:.4g} with depths of {typical:.2g} m; read as metres "
@@ -97,8 +105,9 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     if doubtful and found.inverse >= _SURE and found.inverse > np.nan_to_num(found.share) + _BETTER:
         return [f"the poses may be meant the other way round: {found}"]
     if found.compared < _ENOUGH:
-        return [f"neighbouring frames hardly overlap ({found.compared} depths could be compared; {found}), "
-                "so that nothing confirms the direction of the poses and the scale of the depth"]
+        figures = f"{found.compared} depths could be compared; {found}" if found.compared else str(found)
+        return [f"neighbouring frames hardly overlap ({figures}), so that nothing confirms the direction of "
+                "the poses and the scale of the depth"]
     if weak:
         return [f"the frames hardly agree with each other: {found}; check depth scale, intrinsics and poses"]
     return []

@@ -190,6 +190,26 @@ def test_skipping_puts_the_next_good_sample_in_place_for_any_number_of_workers(f
     assert dataset.lost(0) == [bad] and dataset.lost(1) == []
 
 
+@pytest.mark.parametrize("size", [11, 16])
+def test_a_batch_as_large_as_the_epoch_takes_its_own_samples_again(fresh, size):
+    url, tar = fresh
+    whole = next(iter(everything(url, batch_size=11, shuffle=False))).keys
+    flip(tar, members(tar)[0][1]["offset"])
+    bad = members(tar)[0][0]
+    batch = next(iter(everything(url, batch_size=size, shuffle=False, on_error="skip")))
+    place = whole.index(bad)
+    assert len(batch.keys) == size and batch.repeat[place] and bad not in batch.keys
+    good = set(whole) - {bad}
+    assert set(batch.keys) == good
+    assert {lost.key for lost in batch.lost} == {bad}
+
+
+def test_a_data_set_given_twice_is_refused(fresh):
+    url, _ = fresh
+    with pytest.raises(OcnfError, match="given twice"):
+        everything([str(url), f"{url.parent}/./{url.name}"])
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_an_exact_epoch_leaves_the_lost_out_and_keeps_its_length(fresh, workers):
     url, tar = fresh

@@ -135,6 +135,20 @@ def test_a_state_of_another_mixture_is_refused(two):
         assert caught.value.code == "state"
 
 
+@pytest.mark.parametrize("changed", [{"seed": 5}, {"shuffle": False}, {"buffer": 1}], ids=str)
+def test_a_state_of_parts_in_another_order_is_refused(two, changed):
+    def of(**arguments):
+        parts = [(part(two[0], "v4", **arguments), 1), (part(two[1], "v2"), 1)]
+        return MixtureDataset(parts, N, rank=0, world_size=1)
+
+    state = of().state_dict()
+    of().load_state_dict(state)
+    with pytest.raises(OcnfError, match="parts: the state is of a run with another order"):
+        of(**changed).load_state_dict(state)
+    before = {name: value for name, value in state.items() if name != "parts"}  # of an earlier version
+    of().load_state_dict(before)
+
+
 def test_a_damaged_sample_gives_its_place_to_the_part_s_next(two, sets, tmp_path):
     url = sets.write(tmp_path / "bad", {"train": [5]}, {"v2": ["histogram"]}, prefix="u")
     path = tmp_path / "bad" / "train" / "shard-000000.tar"

@@ -22,6 +22,10 @@ CODES = {"unreadable", "empty", "non_finite", "degenerate", "too_large"}
 PLY = "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
 PLY += "element face {}\nproperty list uchar int vertex_indices\nend_header\n"
 TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
+FACET = "facet normal 0 0 1\nouter loop\nvertex 0 0 {0}\nvertex 1 0 {0}\nvertex 0 1 {0}\nendloop\nendfacet\n"
+BINARY = PLY.format("binary_little_endian", 3, 1).encode()
+BINARY += struct.pack("<9fB3i", 0, 0, 0, 1, 0, 0, 0, 1, 0, 3, 0, 1, 2)
+STL = "solid a facet\n" + FACET.format(0) + FACET.format(1) + "endsolid a facet\n"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -44,6 +48,17 @@ def code_of(path: Path, **limits) -> str:
         tracemalloc.stop()
     assert str(path) in str(caught.value)
     return caught.value.code
+
+
+def test_what_those_are_cut_from_is_read(tmp_path) -> None:
+    (tmp_path / "a.stl").write_text(STL)
+    assert len(read_mesh(tmp_path / "a.stl").faces) == 2
+    for name in ("Åke", "файл хата"):
+        text = PLY.format("ascii", 3, 1).replace("ply\n", f"ply\ncomment {name}\n", 1)
+        (tmp_path / "a.ply").write_text(text + TRIANGLE + "3 0 1 2\n\n", encoding="utf-8")
+        assert len(read_mesh(tmp_path / "a.ply").faces) == 1
+    (tmp_path / "b.ply").write_bytes(BINARY + b"\r\n")
+    assert len(read_mesh(tmp_path / "b.ply").faces) == 1
 
 
 @pytest.mark.parametrize(("name", "content", "code"), [
@@ -99,11 +114,17 @@ def code_of(path: Path, **limits) -> str:
     ("a.ply", "ply\nformat ascii 1.0\nelement face 10000000\nend_header\n", "unreadable"),
     ("a.ply", "ply\nproperty float x\nend_header\n", "unreadable"),
     ("a.stl", b"\0" * 80 + struct.pack("<I", 2**32 - 1) + b"\0" * 50, "unreadable"),
-    ("a.stl", b"solid".ljust(80) + struct.pack("<I", 2**31) + b"\0" * 50, "empty"),
+    ("a.stl", b"solid".ljust(80) + struct.pack("<I", 2**31) + b"\0" * 50, "unreadable"),
+    ("a.stl", b"solid".ljust(80) + struct.pack("<I", 2) + b"\0" * 99, "unreadable"),
+    ("a.stl", b"solid x\nendsolid x\n", "empty"),
     ("a.stl", b"\0" * 80 + struct.pack("<I", 0), "empty"),
     ("a.stl", b"\0" * 80 + struct.pack("<I", 0) + b"\0" * 50, "unreadable"),
     ("a.stl", b"solid x\nfacet\nvertex 0 0 0\nvertex 0 1 0\nendsolid", "unreadable"),
     ("a.stl", b"solid x\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 x 0\nendsolid", "unreadable"),
+    *(("a.stl", STL[:STL.rindex(cut)], "unreadable")
+      for cut in ("endsolid", "endfacet", "facet normal", "vertex 0 1 1")),
+    ("a.ply", PLY.format("ascii", 3, 1) + TRIANGLE + "3 0 1 2\n3 0 1 2\n", "unreadable"),
+    ("a.ply", BINARY + struct.pack("<B3i", 3, 0, 1, 2), "unreadable"),
     ("a.glb", b"glTF", "unreadable"),
     ("a.glb", struct.pack("<4sIIII", b"glTF", 2, 20, 2**31, 0x4E4F534A), "unreadable"),
     ("a.glb", struct.pack("<4sIIII", b"glTF", 2, 120000, 100000, 0x4E4F534A) + b"[" * 100000, "unreadable"),

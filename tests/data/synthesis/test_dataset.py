@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from ocnf_data import SynthesisDataset
+from ocnf_data import MixtureDataset, SynthesisDataset
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
-from ocnf_data.generation.plan import make_plan
+from ocnf_data.generation.plan import list_items, make_plan
 from ocnf_data.generation.sample import make_sample
 from ocnf_data.octree.codec import decode_raw
 from ocnf_data.shards.tarformat import input_member, target_member
@@ -130,3 +130,26 @@ def test_a_split_that_is_none_is_named(small):
             SynthesisDataset(manifest, 16, "tsdf", split="tran")
     with pytest.raises(OcnfError, match="opened for another split; found train, expected val"):
         SynthesisDataset(open_sources(small(), None, "val"), 16, "tsdf")
+
+
+def test_a_mixture_s_state_tells_the_seed_of_a_part(small):
+    def of(seed: int) -> MixtureDataset:
+        inner = MixtureDataset([(open_set(small(), seed=seed), 1)], 6, rank=0, world_size=1)
+        return MixtureDataset([(inner, 1)], 6, rank=0, world_size=1)
+
+    state = of(0).state_dict()
+    of(0).load_state_dict(state)
+    with pytest.raises(OcnfError, match="parts: the state is of a run with another order"):
+        of(1).load_state_dict(state)
+
+
+def test_parts_of_shapes_may_share_a_category(small):
+    parts = [{"weight": 3, "source": {"kind": "shapes", "categories": ["chair"], "counts": {"train": 1}}},
+             {"weight": 1, "source": {"kind": "shapes", "categories": ["chair", "table"],
+                                      "counts": {"train": 1}}}]
+    manifest = small(source={"kind": "mixture", "parts": parts})
+    categories = [pool.categories for pool in open_sources(manifest, None, "train").pools]
+    assert categories == [("chair",), ("chair", "table")]
+    assert all(len(batch.keys) for batch in open_set(manifest))
+    with pytest.raises(OcnfError, match=r"source.parts: two items have the same key.*in one part alone"):
+        list_items(manifest, None)

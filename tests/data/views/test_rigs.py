@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ocnf_data import Views
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.rigs import (
     icosphere,
@@ -122,3 +123,14 @@ def test_bad_poses_and_subsets_are_refused() -> None:
     for k in (0, 81):
         with pytest.raises(OcnfError, match="views"):
             view_subset(80, k)
+
+
+def test_views_by_number_or_mask() -> None:
+    depth = np.arange(1.0, 4.0, dtype=np.float32)[:, None, None] * np.ones((3, 2, 2), np.float32)
+    views = Views(depth, np.eye(3), *look_from(published80()[:3], 3.0))
+    for chosen, expected in (([2, 0], [3, 1]), (np.array([False, True, True]), [2, 3]),
+                             ([True, False, False], [1]), (np.array([-1], np.int8), [3])):
+        assert views.subset(chosen).depth[:, 0, 0].tolist() == expected
+    for wrong in ([0.9, 1.9], [3], [-4], [True, False], [[0]], ["0"], 1, None):
+        with pytest.raises(OcnfError, match="indices: no such views"):
+            views.subset(wrong)

@@ -109,10 +109,20 @@ def test_the_direction_is_named_only_where_the_other_one_agrees_well() -> None:
                         (Agreement(5000, 0.4, 0.9, 0.0, 0.01), None),
                         (Agreement(5000, 0.4, 0.55, 0.0, 0.3), None),
                         (Agreement(5000, 0.1, 0.55, 0.0, 0.3), "hardly agree with each other: 10 %"),
-                        (Agreement(0, float("nan"), 0.9, 0.0, float("nan")), "other way round: none"),
-                        (Agreement(0, float("nan"), 0.5, 0.0, float("nan")), "hardly overlap")):
+                        (Agreement(0, float("nan"), 0.9, 0.0, float("nan")), ": nothing can be compared as read"),
+                        (Agreement(0, float("nan"), 0.5, 0.0, float("nan")), "hardly overlap"),
+                        (Agreement(0, *[float("nan")] * 4), "overlap (there is nothing that two")):
         assert [said is not None and said in warning for warning in judge(found, views, "here")] == [
             True] * (said is not None)
+
+
+def test_depth_in_a_thousandth_of_its_unit_is_not_taken_for_poses_in_millimetres(scene) -> None:
+    small = scene.depth / np.float32(1000)
+    for scale in (1.0, 30.0, 0.001):
+        poses = scene.poses.copy()
+        poses[:, :3, 3] *= scale
+        (warning,) = Scan.from_arrays(small, K, poses).warnings
+        assert "depths look too small" in warning and "check the depth scale" in warning
 
 
 def test_judging_the_frames_takes_no_copy_of_the_depth() -> None:
