@@ -120,7 +120,7 @@ def generate_command(
     report = generate(manifest, out, meshes, jobs, backend.value, retry_failed=retry_failed, views=views)
     _out.print(report.table())
     if report.failures or report.exclusions:
-        _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False)
+        _out.print(f"each with its reason in {report.out}/failures.jsonl", highlight=False, markup=False)
     if not report.ok:
         _err.print(f"[red]{report.failed_share:.1%} of the items failed; limits.failure_threshold allows "
                    f"{report.threshold:.1%}[/]", highlight=False)

@@ -67,7 +67,17 @@ def surface_points(tsdf: GridOctree, n: int, random: np.random.Generator,
 
 
 def tsdf_at(tsdf: GridOctree, points: F64, extent: float = 3.0) -> F32:
-    """TSDF / tau at points (N, 3) x y z in metres, linear between voxel centres; 1 beyond the cube: (N,)."""
+    """TSDF / tau at points (N, 3) x y z in metres, linear between voxel centres; 1 beyond the cube: (N,).
+
+    Raises:
+        OcnfError: several channels: a histogram, or TDF and occupancy, whose sign lies in the second; or no
+            points of that shape.
+    """
+    points = np.asarray(points, np.float64)
+    if tsdf.data.shape[1] != 1:
+        raise OcnfError("not a TSDF", where="export", field="channels", found=tsdf.data.shape[1], expected=1)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise OcnfError("not points", where="export", field="points", found=points.shape, expected="(N, 3)")
     size = extent / max(tsdf.shape)
     padded = np.pad(tsdf.to_dense()[0], 1, constant_values=1.0)
     index = points / size + np.array(tsdf.shape[::-1]) / 2 + 0.5  # voxel 0 of `padded` lies half outside

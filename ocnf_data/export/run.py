@@ -141,6 +141,9 @@ def export_dataset(
         openvdb()
     source, target = Store(url), Store(out)
     info = load_dataset(source)
+    if f"{target.url.rstrip('/')}/".startswith(f"{source.url.rstrip('/')}/"):
+        raise OcnfError("the export would lie in the data set, whose every file is accounted for",
+                        where=out, field="out", expected="a folder beside it")
     _check(settings, info, source)
     tasks = list(_tasks(info.splits, splits, limit, source))
     total = sum(task.n for task in tasks)

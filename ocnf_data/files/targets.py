@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage_errors import TEMPORARY_PREFIX, storage_errors
+
+
+def check_target(path: Path, suffixes: Sequence[str]) -> None:
+    """Raise OcnfError unless a file of this name can be written: its suffix, and its folder."""
+    if path.suffix.lower() not in suffixes:
+        raise OcnfError("cannot be written in this format", where=path, found=path.suffix or "no suffix",
+                        expected=", ".join(suffixes))
+    check_file(path)
 
 
 def check_file(path: Path) -> None:

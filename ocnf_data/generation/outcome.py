@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from rich.markup import escape
 from rich.table import Table
 
 from ocnf_data.generation.plan import Plan
@@ -78,7 +79,7 @@ class Report:
 
     def table(self) -> Table:
         """A summary to print."""
-        table = Table(title=self.out, show_header=False, title_justify="left")
+        table = Table(title=escape(self.out), show_header=False, title_justify="left")
         table.add_column(style="bold")
         table.add_column(justify="right")
         table.add_row("items", f"{self.items:,}")

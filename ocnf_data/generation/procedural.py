@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 from ocnf_data.meshes import Mesh
 from ocnf_data.scenes import SCENES, make_scene
 from ocnf_data.shapes import make_shape
 
+_PROCEDURAL = re.compile(r"(shapes|scenes):[^:/]+:(train|val|test):\d+")
 _SHAPES, _SCENES, _SEQUENCE = "shapes:", "scenes:", "sequence:"
 
 
@@ -16,7 +19,7 @@ def procedural_name(category: str, split: str, index: int) -> str:
 
 def is_procedural(source: str) -> bool:
     """Whether a source is such a name, and not a file's."""
-    return source.startswith((_SHAPES, _SCENES))
+    return _PROCEDURAL.fullmatch(source) is not None
 
 
 def make_procedural(category: str, seed: int, index: int, split: str) -> Mesh:

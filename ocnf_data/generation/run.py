@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.lock import exclusive
@@ -98,7 +99,7 @@ def generate(
         if views is not None:
             warnings += _compare_views(views, plan, manifest)
         for warning in warnings:
-            console.print(f"[yellow]warning:[/] {warning}")
+            console.print(f"[yellow]warning:[/] {escape(warning)}")
         store.clean_temporaries()  # of a run that was killed
         finished = store.exists(DATASET)
         # Another schema is damage too: the plan, which was compared, is of this version of ocnf.

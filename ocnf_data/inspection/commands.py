@@ -24,7 +24,7 @@ def show_command(
         metavar="PART", help="Draw the sample whose key has this in it; may be repeated. "
                              "[the first of each split]")] = None,
     random_: Annotated[int, typer.Option("--random", min=0, help="Draw this many samples at random.")] = 0,
-    seed: Annotated[int, typer.Option(help="Of --random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of --random.")] = 0,
     meshes: _Meshes = None,
     variant: Annotated[str | None, typer.Option(help="Which input. [the first]")] = None,
     encoding: Annotated[Encoding | None, typer.Option(help="Which encoding. [the input's first]")] = None,
@@ -38,6 +38,7 @@ def show_command(
     Without the meshes, the surface of the ground truth stands in for them.
     """
     from ocnf_data.errors import OcnfError
+    from ocnf_data.files.targets import check_target
     from ocnf_data.inspection.choose import pick
     from ocnf_data.inspection.show import draw_sample
     from ocnf_data.manifest import Manifest
@@ -48,6 +49,7 @@ def show_command(
     manifest = Manifest.from_dict(load_dataset(data).manifest)
     samples = pick(data, key or [], random_, seed)
     single = out.suffix.lower() == ".png"
+    check_target(out if single else out / "sample.png", [".png"])
     if single and len(samples) > 1:
         raise OcnfError("one file, but several samples", where=out, field="--out", found=len(samples),
                         expected="a folder", fix="name one sample with --key, or give a folder")
@@ -67,8 +69,11 @@ def stats_command(
     mad: Annotated[bool, typer.Option("--mad", help="Also plain fusion's error in millimetres.")] = False,
 ) -> None:
     """Leaves, band and coverage by category: a table, and a box plot."""
+    from ocnf_data.files.targets import check_target
+    from ocnf_data.inspection.pictures import PICTURE_SUFFIXES
     from ocnf_data.inspection.stats import collect, draw, print_table
 
+    check_target(out, PICTURE_SUFFIXES)  # before all samples are read
     columns = collect(data, split, band_samples, mad)
     print_table(columns, Console(emoji=False))
     draw(columns, out)
@@ -80,7 +85,7 @@ def check_command(
     meshes: _Meshes = None,
     samples: Annotated[int, typer.Option(min=1, help="How many samples to check.")] = 3,
     cells: Annotated[int, typer.Option(min=1, help="How many voxels of each octree.")] = 10_000,
-    seed: Annotated[int, typer.Option(help="Which samples and voxels.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Which samples and voxels.")] = 0,
     all_rows: Annotated[bool, typer.Option("--all", help="Print what is right, too.")] = False,
 ) -> None:
     """Compare stored octrees with their meshes, by a float64 evaluation that shares no code with fusion.

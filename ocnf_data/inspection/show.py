@@ -13,6 +13,7 @@ from ocnf_data.arrays import F64, I64
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.generation.remake import Remade, remake, remake_from_surface
+from ocnf_data.inspection.pictures import save_picture
 from ocnf_data.manifest import Manifest, Variant
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.octree import GridOctree
@@ -119,8 +120,7 @@ def draw_sample(
     axes[0, 3].text(0, 0.95, "\n".join(textwrap.fill(line, 44) for line in lines), va="top", fontsize=11,
                     transform=axes[0, 3].transAxes)
     figure.suptitle(sample.key, fontsize=13)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
+    save_picture(figure, path)
 
 
 def _variant(manifest: Manifest, name: str | None) -> Variant:

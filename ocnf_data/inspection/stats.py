@@ -16,11 +16,13 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.inspection.pictures import save_picture
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
 from ocnf_data.shards.browse import stored_samples
@@ -117,7 +119,7 @@ def _table(columns: Columns, grouped: dict[str, list[str]], labels: list[str], t
     for category in categories:
         cells = ("/".join(_mean(columns[name][category]) for name in grouped[label]) for label in labels)
         n_samples = str(len(columns["coverage"][category]))
-        table.add_row(category, n_samples, *cells, end_section=category == categories[-2])
+        table.add_row(escape(category), n_samples, *cells, end_section=category == categories[-2])
     return table
 
 
@@ -147,5 +149,4 @@ def draw(columns: Columns, path: Path) -> None:
         ax.grid(axis="x", alpha=0.3)
     for ax in axes.flat[len(columns):]:
         ax.set_axis_off()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
+    save_picture(figure, path)

@@ -36,6 +36,13 @@ def whole(field: str, value: object, least: int) -> int:
     return value
 
 
+def flag(field: str, value: object) -> bool:
+    """True or False; a text such as "no" would count as true."""
+    if not isinstance(value, bool):
+        raise bad_setting("neither true nor false", field, value, "True or False")
+    return value
+
+
 def fraction(field: str, value: object) -> float:
     """A number from 0 to 1."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
@@ -89,7 +96,12 @@ def place_among_ranks(rank: int | None, world_size: int | None,
         return rank, world_size
     if running is not None:
         return running
-    return _from_environment("RANK", 0), _from_environment("WORLD_SIZE", 1)
+    rank, world_size = _from_environment("RANK", 0), _from_environment("WORLD_SIZE", 1)
+    if world_size > 1 and not os.environ.get("RANK", "").strip():  # every process would be the first
+        raise OcnfError("a number of processes without the number of this one", where="the environment",
+                        field="RANK", found=None, expected=f"0 to {world_size - 1}, as WORLD_SIZE is "
+                        f"{world_size}", fix="set both, or neither, or give rank and world_size")
+    return rank, world_size
 
 
 def _from_environment(name: str, default: int) -> int:

@@ -22,6 +22,7 @@ from ocnf_data.files.records import canonical_json, sha256_hex
 from ocnf_data.loading.arguments import (
     OnError,
     bad_setting,
+    flag,
     fraction,
     names,
     one_of,
@@ -116,11 +117,14 @@ class ShardDataset(EpochDataset):
         )
         if encoding is None and not request.targets:
             raise bad_setting("nothing is asked for", "encoding", None, "an encoding, or targets=True")
+        if encoding is None and variant is not None:
+            raise bad_setting("it would have no effect: no inputs are asked for", "variant", variant,
+                              "None, or an encoding")
         self._seed = whole("seed", seed, least=0)
         self._buffer = whole("buffer", buffer, least=1)
-        self._shuffle = shuffle
+        self._shuffle = flag("shuffle", shuffle)
         tail = one_of(Uneven, "uneven", uneven)
-        if drop_last and tail is Uneven.EXACT:
+        if flag("drop_last", drop_last) and tail is Uneven.EXACT:
             raise bad_setting("an exact epoch drops nothing", "drop_last", True, "False")
         rank, world_size = place_in_world(rank, world_size)
         self._augment = one_of(Augment, "augment", augment)

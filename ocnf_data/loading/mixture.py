@@ -22,7 +22,7 @@ import numpy as np
 from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json, sha256_hex
-from ocnf_data.loading.arguments import bad_setting, whole
+from ocnf_data.loading.arguments import whole
 from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.drawn import DrawnDataset
 from ocnf_data.loading.fetch import RawSample
@@ -76,6 +76,10 @@ class MixtureDataset(DrawnDataset):
         augment: str = "none",
         max_bad_fraction: float = 0.05,
     ) -> None:
+        for i, one in enumerate(parts):
+            if not isinstance(one, tuple | list) or len(one) != 2 or not hasattr(one[0], "supply"):
+                raise OcnfError("not a part", where="MixtureDataset", field=f"parts[{i}]",
+                                found=type(one).__name__, expected="(data set, weight)")
         supplies = [(dataset.supply(), weight) for dataset, weight in parts]
         n_samples = whole("samples_per_epoch", samples_per_epoch, least=1)
         self._mixed = MixtureSupply(supplies, whole("seed", seed, least=0))
@@ -162,7 +166,8 @@ def _check(parts: Sequence[tuple[Supply, float]]) -> None:
     first = parts[0][0]
     for i, (supply, weight) in enumerate(parts):
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < float("inf"):
-            raise bad_setting("not a weight", f"parts[{i}]", weight, "a number above 0")
+            raise OcnfError("not a weight", where="MixtureDataset", field=f"parts[{i}]", found=repr(weight),
+                            expected="a number above 0")
         for field in ("resolutions", "encoding", "targets"):
             mine, theirs = getattr(supply.request, field), getattr(first.request, field)
             if mine != theirs:

@@ -2,8 +2,7 @@
 
 Dense volumes are (C, D, H, W) float32 in C order; trees are (T, 2) uint64, the grid's (GD, GH, GW) flattened;
 `prefix` is `leaf_prefix(trees)`. What reads or writes voxels is parallel over the trees; each writes to its
-own place, so results do not depend on the number of threads. What only looks at trees and leaves is not
-parallel: a forked loader worker may call it, and OpenMP does not survive a fork.
+own place, so results do not depend on the number of threads. What only looks at trees and leaves is not.
 """
 
 from __future__ import annotations
@@ -22,9 +21,10 @@ from ocnf_data.octree.bits import (
     leaf_of_voxel,
     tree_leaves,
 )
+from ocnf_data.octree.threads import in_threads
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def tree_extremes(values: F32) -> tuple[F32, F32, bool]:
     """Smallest and largest value over each tree, (T, C) float32 each, and whether every value is finite."""
     n_channels, depth, height, width = values.shape
@@ -56,7 +56,7 @@ def tree_extremes(values: F32) -> tuple[F32, F32, bool]:
     return low, high, bool(finite.all())
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def split_trees(values: F32, low: F32, high: F32, tolerance: float) -> TreeArray:
     """Bits of each tree by the split rule, (T, 2) uint64; `low` and `high` are its `tree_extremes`."""
     n_channels, _, height, width = values.shape
@@ -72,7 +72,7 @@ def split_trees(values: F32, low: F32, high: F32, tolerance: float) -> TreeArray
     return trees
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def mean_leaves(
     values: F32, low: F32, high: F32, trees: TreeArray, prefix: Prefix
 ) -> F32:
@@ -106,7 +106,7 @@ def first_voxel(t: int, gh: int, gw: int) -> tuple[int, int, int]:
     return TREE_WIDTH * (t // (gh * gw)), TREE_WIDTH * (t // gw % gh), TREE_WIDTH * (t % gw)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def paint(trees: TreeArray, prefix: Prefix, data: npt.NDArray, volume: npt.NDArray) -> None:
     """Write each leaf's row of `data` (n_leaves, C) to its voxels in `volume` (C, D, H, W), same dtype."""
     n_channels, _, height, width = volume.shape
@@ -145,7 +145,7 @@ def locate_leaves(
     return corners, widths
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def leaves_at(
     trees: TreeArray, prefix: Prefix, gh: int, gw: int, zyx: I64
 ) -> I64:

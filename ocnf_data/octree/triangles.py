@@ -22,6 +22,7 @@ from ocnf_data.arrays import F32, F64, I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.octree.grid import GridOctree
 from ocnf_data.octree.surface import occupied_box
+from ocnf_data.octree.threads import in_threads
 
 # The four edges along x, then those along y and z: corners 4 dz + 2 dy + dx.
 _EDGES = np.array([(a, a | 1 << axis) for axis in range(3) for a in range(8) if not a >> axis & 1], np.int64)
@@ -129,7 +130,7 @@ def _column(values: F32, z: int | np.int64, y: int, x: int) -> int:
     return code
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def _count(values: F32) -> tuple[I64, I64]:
     """Cells with a surface, and their triangles, in each layer of cells."""
     depth, height, width = values.shape
@@ -149,7 +150,7 @@ def _count(values: F32) -> tuple[I64, I64]:
     return cells, triangles
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@in_threads
 def _fill(values: F32, cell_at: I64, triangle_at: I64, placing: F64, out: F32, first: I64,
           centres: F32) -> None:
     """Write the cells and triangles of each layer from where `_count` says that they begin.

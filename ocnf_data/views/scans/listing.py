@@ -182,11 +182,14 @@ def own_intrinsics(read: Callable[[], _Read], given: bool) -> _Read | None:
 
 
 def names_in(folder: Path) -> list[str]:
-    """The names of all that lies directly in a folder, sorted; none where it is not a folder."""
+    """The names of all that lies directly in a folder, sorted; none where it is not a folder.
+
+    Hidden ones do not count, such as the `._0.png` that macOS puts beside `0.png` on foreign disks.
+    """
     if not folder.is_dir():
         return []
     with storage_errors(folder):
-        return sorted(entry.name for entry in folder.iterdir())
+        return sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
 
 
 def numbered(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:

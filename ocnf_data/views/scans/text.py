@@ -29,7 +29,7 @@ def read_text(file: Path) -> str:
         raise OcnfError("too large for text", code="too_large", where=file,
                         expected=f"at most {_MAX_BYTES} bytes")
     try:
-        return data.decode("utf-8")
+        return data.decode("utf-8-sig")  # some editors begin a file with the mark of its encoding
     except UnicodeDecodeError as error:
         raise OcnfError("not a text file", code="unreadable", where=file, found=data[:20]) from error
 

@@ -188,3 +188,11 @@ def test_several_processes_write_what_one_writes(shapes: Store, tmp_path: Path) 
                for jobs in (1, 2)]
     assert files(tmp_path / "1") == files(tmp_path / "2")
     assert [report.written for report in reports] == [4, 4]
+
+
+@pytest.mark.parametrize("inside", ["", "/", "/train", "/exports/a"])
+def test_the_data_set_s_own_folder_is_no_place_for_an_export(shapes: Store, inside: str) -> None:
+    before = files(Path(shapes.url))
+    with pytest.raises(OcnfError, match="would lie in the data set"):
+        export_dataset(shapes.url, shapes.url + inside, "dense", limit=1)
+    assert files(Path(shapes.url)) == before

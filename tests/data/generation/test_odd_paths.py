@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import signal
@@ -12,10 +13,13 @@ import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from ocnf_data.generation import generate
 from ocnf_data.generation.plan import make_plan
+from ocnf_data.generation.remake import remake
 from ocnf_data.shards import load_dataset
+from ocnf_data.shards.browse import stored_samples
 from ocnf_data.verify.verify import verify
 
 FOLDER = {"kind": "folder", "shares": {"train": 1.0}}
@@ -143,3 +147,28 @@ def test_a_link_out_of_the_folder_is_followed_and_its_content_not_quoted(meshes,
     assert generate(define(), out, root, progress=False).samples == 2
     assert rows(out) == {"chair/train/c.off": ("read", "unreadable")}
     assert not any(word in (out / "failures.jsonl").read_text() for word in ("root:", "horse", "staple"))
+
+
+def test_square_brackets_are_no_markup(meshes, define, tmp_path, capsys) -> None:
+    root, out = meshes(["a"]), tmp_path / "c[/d]" / "o[red]1"
+    manifest = define(source=FOLDER, views="keep")
+    report = generate(manifest, out, root, progress=False)
+    console = Console(file=io.StringIO(), width=400)
+    console.print(report.table())
+    assert "c[/d]/o[red]1" in console.file.getvalue()
+    other = define(source=FOLDER, normalise={"extent": 2.0})
+    again = generate(other, tmp_path / "again", root, views=out / "views")
+    assert again.samples == 1 and "c[/d]/o[red]1" in "".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("name", ["shapes:chair:train:0/t 1", "shapes:chair:train:1", "scenes:rooms:1"])
+def test_files_called_like_procedural_items_are_read_as_files(name, meshes, define, tmp_path) -> None:
+    root, out = meshes(["a"]), tmp_path / "out"
+    path = root / f"{name}.off"
+    path.parent.mkdir(exist_ok=True)
+    (root / "chair/train/a.off").rename(path)
+    manifest = define(source=FOLDER)
+    assert generate(manifest, out, root, progress=False).samples == 1
+    sample, = stored_samples(str(out))
+    again = remake(manifest, sample.facts, root)
+    assert again.mesh.sha256 == sample.facts["mesh"]["sha256"]

@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
+from ocnf_data.cli import app
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation import generate
 from ocnf_data.inspection import show
@@ -152,3 +154,27 @@ def test_the_ground_truth_of_an_occupancy_set_is_the_right_way_out(tmp_path: Pat
     assert np.abs(vertices).max() < 1.5
     found = [one for one in check_sample(sample, manifest, None, 64, 0) if one.check == "surface"]
     assert found and all(one.ok for one in found), found
+
+
+@pytest.mark.parametrize(("command", "said"), [
+    (["stats", "{set}", "--out", "{tmp}/x.xyz"], "cannot be written in this format; found .xyz"),
+    (["stats", "{set}", "--out", "{tmp}/dir.png"], "is a folder, not a file"),
+    (["stats", "{set}", "--out", "{tmp}/file/x.png"], "x.png"),
+    (["stats", "{set}", "--out", "{tmp}/plain"], "found no suffix"),
+    (["show", "{set}", "--out", "{tmp}/file/x.png"], "x.png"),
+    (["show", "{set}", "--out", "{tmp}/file"], "sample.png")])
+def test_a_picture_that_cannot_be_written_is_said_first(command, said, made, tmp_path, monkeypatch) -> None:
+    for name in ("collect", "draw"):
+        monkeypatch.setattr(f"ocnf_data.inspection.stats.{name}", None)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "dir.png").mkdir()
+    result = CliRunner().invoke(app, [word.format(set=made[1], tmp=tmp_path) for word in command])
+    assert result.exit_code == 1 and isinstance(result.exception, OcnfError) and said in str(result.exception)
+
+
+def test_names_in_square_brackets_are_printed_as_they_are(made: tuple[Path, Path]) -> None:
+    columns = {name: {"[br]": values["mug"], "all": values["all"]}
+               for name, values in collect(str(made[1]), None, 0, False).items()}
+    console = Console(file=io.StringIO(), width=100, record=True)
+    print_table(columns, console)
+    assert "[br]" in console.export_text()

@@ -333,3 +333,21 @@ def test_a_batch_is_dense_tensors_if_asked(eleven, sets):
     bare = next(iter(ShardDataset(eleven, "train", 16, "histogram", targets=False)))
     with pytest.raises(OcnfError, match="no targets of this resolution; found 16, expected none"):
         bare.dense(16)
+
+
+def test_a_number_of_processes_alone_would_make_each_the_first(eleven, monkeypatch):
+    monkeypatch.delenv("RANK", raising=False)
+    monkeypatch.setenv("WORLD_SIZE", "4")
+    with pytest.raises(OcnfError, match="RANK: a number of processes without"):
+        ShardDataset(eleven, "train", 16, "histogram")
+    monkeypatch.setenv("WORLD_SIZE", "1")
+    assert len(ShardDataset(eleven, "train", 16, "histogram")) == 11
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"shuffle": "no"}, "shuffle: neither true nor false; found 'no'"),
+    ({"drop_last": "False"}, "drop_last: neither true nor false"),
+    ({"encoding": None, "variant": "typo"}, "variant: it would have no effect")])
+def test_arguments_that_would_be_misread(eleven, options, said):
+    with pytest.raises(OcnfError, match=said):
+        ShardDataset(eleven, "train", **{"resolutions": 16, "encoding": "histogram", **options})

@@ -189,3 +189,11 @@ def test_parts_whose_values_mean_something_else_are_refused(two, sets, tmp_path)
     other = sets.write(tmp_path / "c", {"train": [2]}, {"v2": ["histogram"]}, truncation_voxels=4.0)
     with pytest.raises(OcnfError, match=r"part 1.*truncation_voxels.*4\.0"):
         MixtureDataset([(part(two[0], "v4"), 1), (part(other, "v2"), 1)], 10)
+
+
+def test_what_is_no_part_is_named(two):
+    for parts in ([part(two[0], "v4")], [(part(two[0], "v4"),)], [("a folder", 1)]):
+        with pytest.raises(OcnfError, match=r"MixtureDataset: parts\[0\]: not a part"):
+            MixtureDataset(parts, 3)
+    with pytest.raises(OcnfError, match=r"MixtureDataset: parts\[0\]: not a weight; found 'x'"):
+        MixtureDataset([(part(two[0], "v4"), "x")], 3)

@@ -109,7 +109,7 @@ def test_the_direction_is_named_only_where_the_other_one_agrees_well() -> None:
                         (Agreement(5000, 0.4, 0.9, 0.0, 0.01), None),
                         (Agreement(5000, 0.4, 0.55, 0.0, 0.3), None),
                         (Agreement(5000, 0.1, 0.55, 0.0, 0.3), "hardly agree with each other: 10 %"),
-                        (Agreement(0, float("nan"), 0.9, 0.0, float("nan")), ": nothing can be compared as read"),
+                        (Agreement(0, float("nan"), 0.9, 0.0, float("nan")), "nothing can be compared"),
                         (Agreement(0, float("nan"), 0.5, 0.0, float("nan")), "hardly overlap"),
                         (Agreement(0, *[float("nan")] * 4), "overlap (there is nothing that two")):
         assert [said is not None and said in warning for warning in judge(found, views, "here")] == [
