@@ -32,7 +32,7 @@ ARROWS = {
     "ocnf_data.errors": "",
     "ocnf_data.export":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.manifest "
-        "ocnf_data.meshes ocnf_data.octree ocnf_data.shards",
+        "ocnf_data.meshes ocnf_data.octree ocnf_data.sequences ocnf_data.shards",
     "ocnf_data.files": "ocnf_data.errors",
     "ocnf_data.fusion":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.octree ocnf_data.views",

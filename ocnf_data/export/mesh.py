@@ -11,24 +11,26 @@ from ocnf_data.export.settings import Coordinates
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.octree import TARGET
 from ocnf_data.octree.surface import octree_surface
+from ocnf_data.sequences.known import known_surface
 
 
 def surface_meshes(sample: ExportSample) -> dict[str, tuple[F64, I64]]:
     """Marching cubes of the ground truth, `target`, and of each TSDF input (VolFus), by its variant.
 
     Returns:
-        vertices (N, 3), x y z in metres, and faces (M, 3), closed and facing outwards. An input may come out
-        empty; it is then left out.
+        vertices (N, 3), x y z in metres, and faces (M, 3), closed and facing outwards; of scans what was
+        measured, which is open where no frame has looked. An input may come out empty; it is then left out.
 
     Raises:
         OcnfError: the ground truth is occupancy, or has no surface (`empty`); scikit-image is missing.
     """
-    meshes = {TARGET: octree_surface(sample.truth(), sample.extent)}
+    surface = known_surface if sample.is_of_scan else octree_surface
+    meshes = {TARGET: surface(sample.truth(), sample.extent)}
     if not len(meshes[TARGET][1]):
         raise OcnfError("the ground truth has no surface", code="empty", where=sample.key,
                         fix="a finer resolution keeps thinner parts")
     for variant, member in sample.tsdf_inputs.items():
-        vertices, faces = octree_surface(sample.octree(member), sample.extent)
+        vertices, faces = surface(sample.octree(member), sample.extent)
         if len(faces):
             meshes[variant] = vertices, faces
     return meshes

@@ -26,6 +26,7 @@ from ocnf_data.files.lock import exclusive
 from ocnf_data.files.records import canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.manifest import Manifest
+from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.shards.browse import StoredSample
 from ocnf_data.shards.dataset import DatasetInfo, ShardEntry, load_dataset
 from ocnf_data.shards.reader import ShardReader
@@ -184,6 +185,10 @@ def _check(settings: ExportSettings, info: DatasetInfo, source: Store) -> None:
         return OcnfError(f"the data set has no such {field}", code="missing", where=source.url, field=field,
                          found=found, expected=", ".join(map(str, there)))
 
+    if settings.format is ExportFormat.POINTS and isinstance(manifest.source, SequenceSource):
+        raise OcnfError("most of a scan's cube was never looked at: points and occupancies there would be "
+                        "made up", where=source.url, field="format", found=settings.format,
+                        expected="mesh, dense or vdb", fix="take the surface that was measured, with mesh")
     if settings.resolution not in (None, *manifest.resolutions):
         raise refuse("resolution", settings.resolution, manifest.resolutions)
     if settings.variant not in (None, *(one.name for one in manifest.inputs)):

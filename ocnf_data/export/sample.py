@@ -53,6 +53,11 @@ class ExportSample:
         return self.stored.key
 
     @property
+    def is_of_scan(self) -> bool:
+        """Whether its ground truth is what frames of a scan have measured, and unknown elsewhere."""
+        return "mesh" not in self.stored.facts
+
+    @property
     def category(self) -> str:
         """The sample's category."""
         return self.stored.entry.category

@@ -9,7 +9,7 @@ from typing import Any
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.generation.plan import PLAN_SCHEMA, Plan
-from ocnf_data.generation.procedural import is_configuration
+from ocnf_data.generation.procedural import is_configuration, is_procedural
 from ocnf_data.manifest import manifest_difference
 from ocnf_data.shards.dataset import DATASET, PLAN
 
@@ -107,11 +107,15 @@ def _places(plan: Plan) -> set[tuple[str, str]]:
 
 
 def _compare_items(begun: Plan, plan: Plan, where: str) -> None:
+    ours, theirs = (sorted({item.split for item in one.items}) for one in (plan, begun))
+    if ours != theirs:
+        raise OcnfError("the folder was begun with other splits", code="changed", where=where, field="splits",
+                        found=", ".join(ours), expected=", ".join(theirs), fix=_ELSEWHERE)
     then = {(item.split, item.source): item for item in begun.items}
     now = {(item.split, item.source): item for item in plan.items}
     for (split, source), item in then.items():
         found = now.get((split, source))
-        what = "scan" if is_configuration(source) else "mesh"
+        what = "scan" if is_configuration(source) else "shape" if is_procedural(source) else "mesh"
         if found is None:
             raise OcnfError(f"a {what} of {split} is gone", code="changed", where=where, field=source,
                             found="no file", expected=f"sha256 {item.sha256}", fix=_ELSEWHERE)

@@ -421,3 +421,13 @@ def test_a_lock_whose_file_is_gone_keeps_nobody_out(meshes, define, tmp_path, fa
     monkeypatch.setattr(fcntl, "flock", late)
     with pytest.raises(OcnfError, match="another run"):
         generate(define(), out, meshes(["ok_1"]), progress=False)
+
+
+def test_other_splits_of_shapes_are_called_that(define, tmp_path) -> None:
+    source = {"kind": "shapes", "categories": ["ball"], "counts": {"train": 1, "val": 1}}
+    manifest = define(source=source)
+    generate(manifest, tmp_path, splits=["train"], progress=False)
+    for splits in (["train", "val"], ["val"]):
+        with pytest.raises(OcnfError, match=r"splits: the folder was begun with other splits; found .*val, "
+                                            "expected train"):
+            generate(manifest, tmp_path, splits=splits, progress=False)

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from ocnf_data import GridOctree, ShardDataset, fuse_tsdf, generate, load_manifest
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
+from ocnf_data.export import export_dataset
 from ocnf_data.generation.plan import make_plan
 from ocnf_data.generation.remake import remake
 from ocnf_data.inspection.check import check_measured_surface, check_sample
@@ -24,6 +26,7 @@ from ocnf_data.report.sample import Choice, make_picture, stored_fusion
 from ocnf_data.sequences.frames import FrameSequence
 from ocnf_data.sequences.known import known_surface
 from ocnf_data.shards.browse import StoredSample, stored_samples
+from ocnf_data.shards.tarformat import target_member
 from ocnf_data.verify.verify import verify
 from ocnf_data.views.scans import read_scan
 from ocnf_data.views.scans.listing import Said
@@ -291,3 +294,18 @@ def test_scans_that_are_refused(scans: Path, tmp_path: Path) -> None:
     assert [(row.code, row.stage) for row in report.failures] == [("invisible", "normalise")]
     rows = (tmp_path / "far" / "failures.jsonl").read_text().splitlines()
     assert "no frame has measured anything in the region" in json.loads(rows[0])["message"]
+
+
+def test_what_no_frame_has_seen_is_not_exported_as_a_surface(made: Path, tmp_path: Path) -> None:
+    with pytest.raises(OcnfError, match="format: most of a scan's cube was never looked at"):
+        export_dataset(made, tmp_path / "points", "points")
+    assert not (tmp_path / "points").exists()
+    manifest = sequence_manifest()
+    finest, extent = manifest.resolutions[-1], manifest.normalise.extent
+    export_dataset(made, tmp_path / "meshes", "mesh", resolution=finest)
+    for sample in stored_samples(str(made)):
+        mesh = trimesh.load(tmp_path / "meshes" / sample.split / f"{sample.key}.ply", process=False)
+        vertices, faces = known_surface(sample.octree(target_member(finest)), extent)
+        assert len(mesh.faces) == len(faces) > 0
+        np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-5)
+        assert np.abs(mesh.vertices).max() < extent / 2 * 0.999  # not the walls of the cube
