@@ -12,14 +12,15 @@ from pydantic import Field
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import Sha256
-from ocnf_data.files.validation import Int, Real, Strict, validate
-from ocnf_model.network import Carry, Join, Normaliser, OctNetFusion, Output
+from ocnf_data.files.validation import Int, NotEmpty, Real, Strict, validate
+from ocnf_model.network import Carry, Join, Normaliser, OctNetFusion, Output, Widths, widths_at
 from ocnf_model.tensorfile import TensorKind
 
 CHECKPOINT_SCHEMA: Final = 1
 MAX_CHANNELS: Final = 4096
 MAX_COUNT: Final = 2**53
 Channels = Annotated[Int, Field(ge=1, le=MAX_CHANNELS)]
+LevelChannels = Annotated[tuple[tuple[Channels, Channels, Channels], ...], NotEmpty]
 Counted = Annotated[Int, Field(ge=1, le=MAX_COUNT)]
 
 
@@ -38,12 +39,16 @@ class Architecture(Strict):
     blend: bool = False
     finer: Annotated[Int, Field(ge=0, le=16)] = 0
     extra_channels: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
-    first_channels: tuple[Channels, Channels, Channels] | None = None
+    level_channels: LevelChannels | None = None
 
     @classmethod
     def of(cls, source: object) -> Architecture:
         """The architecture of a network, or of settings: anything that has these fields as attributes."""
         return cls(**{name: getattr(source, name) for name in cls.model_fields})
+
+    def widths(self, level: int) -> Widths:
+        """The channels of a level (from 0)."""
+        return widths_at(level, self.channels, self.level_channels)
 
     def kinds(self, level: int) -> dict[str, TensorKind]:
         """The tensors of a level (from 0) by name; nothing is allocated for it."""

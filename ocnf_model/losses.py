@@ -61,6 +61,9 @@ class Pair:
         """(L, C) values of cells times the weights there; weights nowhere finer than the cells, None: 1."""
         if weights is None:
             return costs
+        if weights.channels != 1:
+            raise OcnfError("not one weight a voxel", field="weights", found=f"{weights.channels} channels",
+                            expected=1)
         return costs * weights.refined(self.structure).features.to(costs.dtype)  # (L, C) * (L, 1)
 
     def sum_over_voxels(self, costs: Tensor) -> Tensor:

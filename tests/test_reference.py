@@ -72,8 +72,8 @@ def test_the_printed_range_is_what_is_accepted(reference: ModuleType, page: str)
     """Just outside each bound the field is refused, on the bound or just inside it is not."""
     n = 0
     for model, name, (kind, _, bounds, _) in rows(reference, page):
-        listed = re.match(r"list of (\d+)?", kind)
-        copies = int(listed[1] or 1) if listed else 0
+        listed = re.match(r"list of (lists of )?(\d+)?", kind)
+        copies = int(listed[2] or 1) if listed else 0
         mapped = re.match(r"mapping of `(\w+)`", kind)
         step = 1 if "integer" in kind else 1e-9
         for word, text in re.findall(r"(from|above|to|below) ([\d.^e+-]+)", bounds):
@@ -86,6 +86,7 @@ def test_the_printed_range_is_what_is_accepted(reference: ModuleType, page: str)
                 word, (bound - outward * step * max(1, abs(bound)), bound))
             for value, allowed in ((inside, True), (outside, False)):
                 given = [value] * copies if copies else {mapped[1]: value} if mapped else value
+                given = [given] if listed and listed[1] else given
                 assert refuses(model, name, given) != allowed, (model, name, value)
                 n += 1
     assert n > 10

@@ -23,7 +23,8 @@ from ocnf_model.evaluation.methods import Method
 from ocnf_model.evaluation.run import WEIGHTS_FILE, Evaluation, run_choose_weight, run_evaluate
 from ocnf_model.evaluation.summary import ALL
 from ocnf_model.training.run import train
-from ocnf_model.training.settings import Decay, Stage, TrainSettings
+from ocnf_model.training.schedule import Decay, Stage
+from ocnf_model.training.settings import TrainSettings
 
 MANIFEST = Path(__file__).parent.parent / "manifests" / "demo-train.yaml"
 

@@ -201,6 +201,7 @@ def _type(annotation: Any) -> str:
         several = {"text": "texts", "mapping": "mappings"}
         one = several.get(_type(parts[0]), _type(parts[0]))
         one += "s" * (one in ("integer", "number"))
+        one = re.sub("^list of", "lists of", one)
         return f"list of {len(parts)} {one}" if len(parts) > 1 else f"list of {one}"
     if origin is dict:
         return f"mapping of {_type(parts[0])} to {_type(parts[1])}"

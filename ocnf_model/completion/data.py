@@ -37,7 +37,7 @@ from ocnf_model.completion.tabletop import Tabletop
 from ocnf_model.completion.visible import TRUNCATION
 from ocnf_model.completion.voxlets import VoxletsFrame, list_frames
 from ocnf_model.training.batches import GridBatch
-from ocnf_model.training.data import SAMPLES
+from ocnf_model.training.record import SAMPLES
 from ocnf_model.training.settings import TrainSettings
 
 UPRIGHT: tuple[Symmetry, ...] = tuple(s for s in SYMMETRIES if s.axes[0] == 0 and not s.flips[0])
@@ -49,9 +49,16 @@ _VOXEL = 0.005  # metres
 
 
 def held_out(frames: Sequence[VoxletsFrame]) -> tuple[list[VoxletsFrame], list[VoxletsFrame]]:
-    """(to train on, to validate with): every sixth scene is held out with all its frames."""
+    """(to train on, to validate with): every sixth scene is held out with all its frames.
+
+    Raises:
+        OcnfError: code `empty`: there are too few scenes.
+    """
     scenes = sorted({frame.scene for frame in frames})
     chosen = set(scenes[_HELD_OUT - 1:: _HELD_OUT])
+    if not chosen:
+        raise OcnfError("too few scenes to hold one out", code="empty", where="the training frames",
+                        field="train", found=len(scenes), expected=f"at least {_HELD_OUT} scenes")
     return ([frame for frame in frames if frame.scene not in chosen],
             [frame for frame in frames if frame.scene in chosen])
 
@@ -71,9 +78,6 @@ class CompletionData:
     def __init__(self, root: str | Path, synthetic: int = 40, seed: int = 0) -> None:
         self.where = str(root)
         self.training_frames, self.validation_frames = held_out(list_frames(root, "train"))
-        if not self.validation_frames:
-            raise OcnfError("too few scenes to hold one out", code="empty", where=root, field="train",
-                            expected=f"at least {_HELD_OUT} scenes")
         self._scenes, self._seed = synthetic, seed
         self._folder: Path | None = None
         resolutions = [SIZE >> (LEVELS - 1 - level) for level in range(LEVELS)]

@@ -19,6 +19,7 @@ from rich.progress import track
 
 from ocnf_data.arrays import Bool
 from ocnf_data.files.storage import Store
+from ocnf_data.files.targets import check_file
 from ocnf_data.terminal import narrow_table
 from ocnf_model.completion.figure import DrawnFrame, draw_completions
 from ocnf_model.completion.methods import OURS, Completion, methods_of
@@ -57,6 +58,7 @@ def run_completion_evaluation(run: str | None, data: str, *, out: Path, split: s
         console: where the table is shown.
     """
     console = console or Console(emoji=False)
+    check_file(out / "frames.csv")  # before hours of completing
     frames = list_frames(data, split)
     network = None if run is None else CompletionNetwork(run, device)
     methods, notes = methods_of(data, network, forest)

@@ -20,7 +20,8 @@ from ocnf_model.training.choice import BestBy
 from ocnf_model.training.effects import no_effect
 from ocnf_model.training.record import is_begun
 from ocnf_model.training.run import train
-from ocnf_model.training.settings import Decay, Stage, TrainSettings, load_settings, read_settings
+from ocnf_model.training.schedule import Decay, Stage
+from ocnf_model.training.settings import TrainSettings, load_settings, read_settings
 
 _FIXED: dict[str, Any] = {"encoding": Encoding.TSDF, "extra_channels": CHANNELS - Encoding.TSDF.channels,
                           "output": Output.OCCUPANCY}

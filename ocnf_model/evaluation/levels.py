@@ -58,7 +58,8 @@ def run_levels(network: OctNetFusion, inputs: Sequence[OctreeBatch], device: tor
     for level in range(min(len(inputs), len(network.levels)) if levels is None else levels):
         start = time.perf_counter()
         size = "x".join(map(str, inputs[level].shape))
-        with memory_errors(f"the network at {size}", "lower the resolution, or take --device cpu"), \
+        remedy = "lower the resolution" + (", or take --device cpu" if device.type != "cpu" else "")
+        with memory_errors(f"the network at {size}", remedy), \
                 autocast(precision, device):
             before = network.levels[level](network.level_input(before, inputs, level))
             wait_for(device)

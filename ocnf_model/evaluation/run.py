@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.files.targets import check_file
 from ocnf_data.terminal import check_up
@@ -157,7 +158,17 @@ def evaluate(network: OctNetFusion | None, data: str, *, resolutions: Sequence[i
         meshes: the folder that the data set's meshes were read from, as for `run_evaluate`.
         page: gets every model with its reconstructions; the caller finishes it. None: there is no page.
         categories: models of these only; None for all.
+
+    Raises:
+        OcnfError: the network is in training mode or one of completion, or the data set does not fit it.
     """
+    if network is not None and not isinstance(network, OctNetFusion):
+        raise OcnfError("not a module", field="network", found=type(network).__name__,
+                        expected="OctNetFusion", fix="take the `module` of what load_network gives")
+    if network is not None and network.training:
+        raise OcnfError("the network is in training mode", field="network", fix="call network.eval() first")
+    if network is not None:
+        network.check_plain(title or "evaluate")
     facts = DatasetFacts.read(data)
     chosen = parse_methods([*Method] if methods is None else methods)
     if network is None and methods is None:

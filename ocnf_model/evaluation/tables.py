@@ -25,10 +25,11 @@ def _lines(summaries: Sequence[Summary], variant: str, category: str) -> list[li
 
 
 def _by_category(summaries: Sequence[Summary], variant: str) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of MAD (IoU where there is none) by category: a column a resolution and method."""
+    """Head and rows of MAD (IoU where no method has any) by category: a column a resolution and method."""
     chosen = [one for one in summaries if one.variant == variant]
     columns = list(dict.fromkeys((one.resolution, one.method) for one in chosen))
-    cells = {(one.category, one.resolution, one.method): number(one.mad_mm, 3) or number(one.iou, 3)
+    in_mm = _has_mad(chosen)
+    cells = {(one.category, one.resolution, one.method): number(one.mad_mm if in_mm else one.iou, 3)
              for one in chosen}
     categories = [*sorted({one.category for one in chosen} - {ALL}), ALL]
     return (["category", *(f"{method} {resolution}³" for resolution, method in columns)],
@@ -119,5 +120,8 @@ def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def _what(summaries: Sequence[Summary], variant: str) -> str:
-    known = any(not math.isnan(one.mad_mm) for one in summaries if one.variant == variant)
-    return "MAD in mm" if known else "IoU"
+    return "MAD in mm" if _has_mad([one for one in summaries if one.variant == variant]) else "IoU"
+
+
+def _has_mad(summaries: Sequence[Summary]) -> bool:
+    return any(not math.isnan(one.mad_mm) for one in summaries)

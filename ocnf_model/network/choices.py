@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import TypeVar
 
 from ocnf_data.errors import OcnfError
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
+Widths = tuple[int, int, int]
+"""Numbers of channels at the three resolutions within a level."""
 
 
 class Join(StrEnum):
@@ -62,3 +65,8 @@ def choice(kind: type[_Choice], field: str, value: str) -> _Choice:
         raise OcnfError("no such setting", where="OctNetFusion", field=field, found=value,
                         expected=" or ".join(kind))
     return kind(value)
+
+
+def widths_at(level: int, channels: Widths, level_channels: Sequence[Widths] | None) -> Widths:
+    """The channels of a level (from 0): its own, or else everyone's."""
+    return level_channels[level] if level_channels is not None and level < len(level_channels) else channels

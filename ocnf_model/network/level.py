@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.utils.checkpoint import checkpoint
 
-from ocnf_model.network.choices import Join, Normaliser, Output
+from ocnf_model.network.choices import Join, Normaliser, Output, Widths
 from ocnf_model.network.normalise import NormalisedConv3d
 from ocnf_model.octree.batch import OctreeBatch
 from ocnf_model.ops import DenseContext, FusionBlend, OctreeConv3d, concat, grid_pool, grid_unpool
@@ -68,7 +68,7 @@ class Level(nn.Module):
         blend: how the head's TSDF is blended with that of plain fusion; None for not at all (the paper).
     """
 
-    def __init__(self, in_channels: int, channels: tuple[int, int, int], join: Join, output: Output,
+    def __init__(self, in_channels: int, channels: Widths, join: Join, output: Output,
                  context: int = 0, residual: bool = False, normalise: Normaliser = Normaliser.NONE,
                  blend: FusionBlend | None = None) -> None:
         super().__init__()

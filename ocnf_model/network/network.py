@@ -10,7 +10,7 @@ from torch import nn
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_model.devices import Precision
-from ocnf_model.network.choices import Carry, Join, Normaliser, Output, choice
+from ocnf_model.network.choices import Carry, Join, Normaliser, Output, Widths, choice, widths_at
 from ocnf_model.network.finer import GAIN, guessed_encoding, pooled_encoding
 from ocnf_model.network.level import Level, LevelOutput
 from ocnf_model.octree.batch import OctreeBatch
@@ -54,8 +54,8 @@ class OctNetFusion(nn.Module):
             Where the inputs end before it, it is guessed from their last one, which costs most of the gain.
         checkpointing: keep fewer activations for the backward pass, and compute them again.
         extra_channels: channels that every input has behind the encoding's, 0 or more.
-        first_channels: those of the first level, where they are others: it costs the least, and what it
-            believes the later ones inherit. None for `channels` (the paper).
+        level_channels: those of the first few levels, where they differ: the first level costs the least, and
+            what it believes the later ones inherit. None for `channels` everywhere (the paper).
 
     Attributes:
         precision: what `evaluate`, `fuse` and the like let it compute in, where the device is fast in that:
@@ -70,7 +70,7 @@ class OctNetFusion(nn.Module):
         carry: str = Carry.FEATURES, output: str = Output.TSDF, channels: Sequence[int] = (16, 32, 64),
         band: float = 1, context: int = 0, residual: bool = False, normalise: str = Normaliser.NONE,
         blend: bool = False, finer: int = 0, checkpointing: bool = False, extra_channels: int = 0,
-        first_channels: Sequence[int] | None = None,
+        level_channels: Sequence[Sequence[int]] | None = None,
     ) -> None:
         super().__init__()
         self.encoding = choice(Encoding, "encoding", encoding)
@@ -80,7 +80,11 @@ class OctNetFusion(nn.Module):
             raise OcnfError("too few levels", where="OctNetFusion", field="levels", found=levels,
                             expected="at least 1")
         self.channels = _widths("channels", channels)
-        self.first_channels = None if first_channels is None else _widths("first_channels", first_channels)
+        self.level_channels = None if level_channels is None else tuple(
+            _widths("level_channels", channels) for channels in level_channels)
+        if self.level_channels == ():
+            raise OcnfError("no channels", where="OctNetFusion", field="level_channels", found=level_channels,
+                            expected="three positive numbers for at least one level")
         self.band, self.context, self.residual = band, context, residual
         self.normalise = choice(Normaliser, "normalise", normalise)
         self.precision = Precision.FLOAT32
@@ -92,7 +96,7 @@ class OctNetFusion(nn.Module):
         self.levels = nn.ModuleList()
         column = 0  # of the first channel of the encoding, behind what the level before carries up
         for level in range(levels):
-            widths = self.channels if level else self.first_widths
+            widths = self.widths(level)
             read = column + (2 if level < finer else 1) * self.in_channels
             made = Level(
                 read, widths, self.join, self.output, 0 if level else context, residual,
@@ -104,10 +108,9 @@ class OctNetFusion(nn.Module):
             column = widths[0] if self.carry is Carry.FEATURES else 1
         self.set_checkpointing(checkpointing)
 
-    @property
-    def first_widths(self) -> tuple[int, int, int]:
-        """The channels of the first level."""
-        return self.first_channels or self.channels
+    def widths(self, level: int) -> Widths:
+        """The channels of a level (from 0) at the three resolutions within it."""
+        return widths_at(level, self.channels, self.level_channels)
 
     def forward(self, inputs: Sequence[OctreeBatch]) -> list[OctreeBatch]:
         """The reconstruction of each level, TSDF / tau or probability of occupancy, on its own structure.
@@ -147,6 +150,13 @@ class OctNetFusion(nn.Module):
         """Resolutions of the inputs that levels of these resolutions read, coarse to fine."""
         return [resolutions[0] << i for i in range(self.needs(len(resolutions)))]
 
+    def check_plain(self, where: object) -> None:
+        """Raise OcnfError where it reads more than an encoding, as networks of completion do."""
+        if self.extra_channels:
+            raise OcnfError("the network is one of completion, for single views of tabletops", where=where,
+                            field="extra_channels", found=self.extra_channels, expected=0,
+                            fix="use it with `ocnf-model complete`")
+
     def level_input(self, before: LevelOutput | None, inputs: Sequence[OctreeBatch],
                     level: int) -> OctreeBatch:
         """What a level (from 0) reads, side by side.
@@ -173,13 +183,19 @@ class OctNetFusion(nn.Module):
         return x if finer is None else concat(x, finer.to(dtype=x.features.dtype))
 
     def start_from_previous(self, level: int) -> list[str]:
-        """Copy to a level (from 1) the weights of the one before, where shapes match; names of the rest."""
+        """Copy to a level (from 1) the weights of the one before.
+
+        Returns:
+            Names of the weights that stay as they were: the first layer's, which reads other channels, and
+            those of layers that do not have all of the same shapes.
+        """
         if not 0 < level < len(self.levels):
             raise OcnfError("no level before this one", where="OctNetFusion", field="level", found=level,
                             expected=f"1 to {len(self.levels) - 1}")
         before, own = self.levels[level - 1].state_dict(), self.levels[level].state_dict()
-        fitting = {name: value for name, value in before.items()
-                   if name in own and value.shape == own[name].shape}
+        others = {_layer(name) for name in own
+                  if name not in before or before[name].shape != own[name].shape}
+        fitting = {name: before[name] for name in own if _layer(name) not in others}
         self.levels[level].load_state_dict(fitting, strict=False)
         return [name for name in own if name not in fitting]
 
@@ -213,8 +229,18 @@ class OctNetFusion(nn.Module):
                             field="inputs[0]", found=inputs[0].structure.describe())
 
 
-def _widths(field: str, channels: Sequence[int]) -> tuple[int, int, int]:
-    if len(channels) != 3 or min(channels) < 1:
+def _layer(name: str) -> str:
+    """What is taken over as a whole: `down1.0` for `down1.0.weight`, `head` for `head.weight`."""
+    parts = name.split(".")
+    if name.startswith("first."):  # its bias fits where its weight reads other channels
+        return name
+    return ".".join(parts[:2]) if len(parts) > 2 else parts[0]
+
+
+def _widths(field: str, channels: Sequence[int]) -> Widths:
+    whole = isinstance(channels, Sequence) and not isinstance(channels, str) and all(
+        isinstance(n, int) and not isinstance(n, bool) for n in channels)
+    if not whole or len(channels) != 3 or min(channels) < 1:
         raise OcnfError("not channels", where="OctNetFusion", field=field, found=channels,
                         expected="three positive numbers")
     return channels[0], channels[1], channels[2]

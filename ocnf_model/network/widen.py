@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-Widths = tuple[int, int, int]
+from ocnf_model.network.choices import Widths
 
 _WIDE, _MIDDLE, _DEEP = range(3)  # widths within a level
 _SAME = None  # a number of channels that stays as it is

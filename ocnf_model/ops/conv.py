@@ -132,7 +132,7 @@ class _Convolution(torch.autograd.Function):
         scaled = (grad / volumes).contiguous()  # (L, C_out)
         # (C_in, 27 C_out): h_k comes from the offset opposite to k.
         matrix = weight.flip(2, 3, 4).permute(1, 2, 3, 4, 0).reshape(weight.shape[1], -1)
-        grad_features = torch.empty_like(features) if wants_features else None
+        grad_features = features.new_empty(features.shape) if wants_features else None  # rows, whatever it is
 
         def convolve_back(chunks: Sequence[Chunk]) -> Tensor:
             # A sum over many chunks is kept in float32 at least.

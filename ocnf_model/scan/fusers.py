@@ -92,8 +92,9 @@ class Learned:
         """A run's network up to the level of a resolution; None: all its levels.
 
         Raises:
-            OcnfError: it has no such level.
+            OcnfError: it has no such level, or is one of completion.
         """
+        trained.network.check_plain(trained.path)
         levels = trained.resolutions
         if resolution is not None and resolution not in levels:
             raise OcnfError("the network has no level of this resolution", where=trained.path,

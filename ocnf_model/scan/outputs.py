@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import Store
-from ocnf_data.files.targets import check_file
+from ocnf_data.files.storage_errors import storage_errors
+from ocnf_data.files.targets import check_file, check_target
 from ocnf_data.meshes.writing import WRITERS
 from ocnf_model.scan.reconstruction import Reconstruction
 
 TSDF_SUFFIXES = (".npz", ".oc")
+_PLACING = {"shape", "first", "voxel", "truncation"}
+_MAX_PLACING = 2**16  # bytes
 _MAX_DENSE = 2**31
 """Voxels of a dense volume, 8 GB."""
-
-
-def check_target(path: Path, suffixes: tuple[str, ...]) -> None:
-    """Raise OcnfError unless a file of this name can be written: its suffix, and its folder."""
-    if path.suffix.lower() not in suffixes:
-        raise OcnfError("cannot be written in this format", where=path, found=path.suffix or "no suffix",
-                        expected=", ".join(suffixes))
-    check_file(path)
 
 
 def check_picture(path: Path) -> None:
@@ -33,6 +29,38 @@ def check_picture(path: Path) -> None:
         import matplotlib  # noqa: F401
     except ImportError as error:
         raise missing_extra("pictures need matplotlib", "fuse") from error
+
+
+def check_placing(path: Path) -> list[Path]:
+    """The file that tells where a TSDF of this name lies, if it has one, once it can be written.
+
+    Raises:
+        OcnfError: it cannot, or there is another JSON file of that name.
+    """
+    if path.suffix.lower() != ".oc":
+        return []
+    beside = path.with_suffix(".json")
+    check_file(beside)
+    if beside.exists():
+        with storage_errors(beside), beside.open("rb") as opened:
+            text = opened.read(_MAX_PLACING)
+        try:
+            fields = json.loads(text)
+        except ValueError:
+            fields = None
+        if not isinstance(fields, dict) or fields.keys() != _PLACING:
+            raise OcnfError("another file lies where the octree's place would be written", where=beside,
+                            fix="give --tsdf another name")
+    return [beside]
+
+
+def refuse_same(paths: Sequence[Path]) -> None:
+    """Raise OcnfError where two files would have one name."""
+    names = [path.resolve() for path in paths]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise OcnfError("two files would have the same name", where=paths[i],
+                            fix="give each a name of its own")
 
 
 def check_dense(path: Path, shape: tuple[int, ...]) -> None:

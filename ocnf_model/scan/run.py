@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.targets import check_target
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.views.scans import Scan, read_scan
 from ocnf_model.checkpoint import open_run
@@ -24,8 +25,9 @@ from ocnf_model.scan.outputs import (
     TSDF_SUFFIXES,
     check_dense,
     check_picture,
-    check_target,
+    check_placing,
     mesh_suffixes,
+    refuse_same,
     save_tsdf,
 )
 from ocnf_model.scan.reconstruction import Reconstruction
@@ -85,6 +87,10 @@ class Asked:
         names = [name.strip() for word in self.methods for name in word.split(",") if name.strip()]
         return parse_methods([_ALIASES.get(name, name) for name in names])
 
+    def tagged(self, path: Path, method: str) -> Path:
+        """The file of a method: several are told apart in its name."""
+        return path.with_stem(f"{path.stem}-{method}") if len(self.chosen()) > 1 else path
+
     def check(self) -> None:
         """Raise OcnfError where something cannot be done whatever the scan is."""
         if self.out is None and self.preview is None:
@@ -92,12 +98,16 @@ class Asked:
         if self.out is None and (self.tsdf is not None or self.picture is not None):
             raise OcnfError("nothing is fused without a mesh to write", field="out",
                             fix="name one with --out MESH")
-        for path, suffixes in ((self.out, mesh_suffixes()), (self.tsdf, TSDF_SUFFIXES)):
-            if path is not None:
-                check_target(path, suffixes)
-        for path in (self.picture, self.preview):
-            if path is not None:
-                check_picture(path)
+        files = [path for path in (self.picture, self.preview) if path is not None]
+        for path in files:
+            check_picture(path)
+        for method in self.chosen():
+            for target, suffixes in ((self.out, mesh_suffixes()), (self.tsdf, TSDF_SUFFIXES)):
+                if target is not None:
+                    path = self.tagged(target, method)
+                    check_target(path, suffixes)
+                    files += [path, *check_placing(path)]
+        refuse_same(files)
         if self.faces is not None:
             check_faces(self.faces)
         if not self.chosen():
@@ -178,13 +188,12 @@ def _write(asked: Asked, results: Sequence[Reconstruction], scan: Scan, stages: 
     lines = []
     with stages.stage("write"):
         for result in results:
-            tag = f"-{result.method}" if len(results) > 1 else ""
-            path = asked.out.with_stem(asked.out.stem + tag)
+            path = asked.tagged(asked.out, result.method)
             result.save(path)
             voxels = f"{result.resolution}³" if asked.voxel is None else f"{1000 * asked.voxel:g} mm voxels"
             lines.append(f"{path}: {len(result.faces):,} faces by {Method(result.method).label} at {voxels}")
             if asked.tsdf is not None:
-                save_tsdf(result, asked.tsdf.with_stem(asked.tsdf.stem + tag))
+                save_tsdf(result, asked.tagged(asked.tsdf, result.method))
     if asked.picture is not None:
         from ocnf_model.scan.picture import draw_comparison
 

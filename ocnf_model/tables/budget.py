@@ -18,6 +18,8 @@ from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.manifest import Entry, Manifest
 from ocnf_model.tables import WEIGHT_MODELS
 from ocnf_model.tables.schema import PAPER_CATEGORIES, InputSpec, NetworkSpec, Pipeline, TableSpec
+from ocnf_model.training.beginning import like_the_start
+from ocnf_model.training.effects import no_effect
 from ocnf_model.training.settings import TrainSettings, read_settings
 
 PAPER_TRAIN, PAPER_VAL, PAPER_TEST = 200, 5, 20
@@ -125,7 +127,7 @@ def make_budget(
         OcnfError: the root lacks a category, there are fewer meshes than categories, ...
     """
     stand_ins = dict(stand_ins or {})
-    settings = settings or TrainSettings()
+    settings = _of_tables(settings or TrainSettings())
     of_scans = all(table.pipeline is Pipeline.SCANS for table in tables)
     there = _folders_of(root, of_scans)
     chosen = _choose_categories(root, there, categories, stand_ins)
@@ -154,6 +156,22 @@ def make_budget(
                     n_test if test is None else test, read_settings(fields, "the budget"), stand_ins,
                     weight_models, of_scans)
     return budget.with_epochs(epochs or budget.epochs)
+
+
+def _of_tables(settings: TrainSettings) -> TrainSettings:
+    """The settings, with the architecture of a run that they start from; refused where tables have their own.
+
+    Raises:
+        OcnfError: code `manifest`, with the field.
+    """
+    for name in ("categories", "encoding", "mixture", "variant"):
+        if name in settings.model_fields_set and getattr(settings, name) is not None:
+            raise no_effect(name, "the networks of a table have their own", "settings of a table",
+                            getattr(settings, name), None, "leave it out")
+    if settings.output == "occupancy":
+        raise OcnfError("tables are of distances", code="manifest", where="settings of a table",
+                        field="output", found=settings.output, expected="tsdf")
+    return like_the_start(settings)
 
 
 def listed(budget: Budget, root: Path, views: int = 1) -> list[Entry]:

@@ -45,6 +45,10 @@ def like_the_start(settings: TrainSettings) -> TrainSettings:
     there = there.model_copy(update={"finer": min(there.finer, settings.levels)})
     taken = {name: value for name, value in there.model_dump(mode="json").items()
              if name not in settings.model_fields_set}
+    if taken.get("level_channels"):
+        taken["level_channels"] = taken["level_channels"][:settings.levels]
+        if len(taken["level_channels"]) == settings.levels:
+            taken.pop("channels", None)  # they would be no level's
     return read_settings({**settings.to_dict(), **taken}, f"settings as in {settings.start}")
 
 
@@ -98,9 +102,9 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
     """The network before training, and how many levels have the weights of the run that it starts from.
 
     That run's network may lack a blend, or the first level's context: they begin as new ones do. Fewer of its
-    levels may read a finer encoding: what it adds counts for nothing at first. Its first level may be
-    narrower: it is widened as the same function. And it may have batch normalisation where this one has none:
-    that is folded into its convolutions.
+    levels may read a finer encoding: what it adds counts for nothing at first. Its levels may have fewer
+    channels: they are widened as the same function. And it may have batch normalisation where this one has
+    none: that is folded into its convolutions.
 
     Raises:
         OcnfError: the run to start from is missing, damaged or of another network.
@@ -120,11 +124,12 @@ def first_network(settings: TrainSettings) -> tuple[OctNetFusion, int]:
         weights = given.levels[level].state_dict()
         if network.normalise is Normaliser.NONE:
             weights = fold_normalisation(weights)
-        before, after = given.first_widths, network.first_widths
-        if level == 0 and before != after:
+        before, after = given.widths(level), network.widths(level)
+        if before != after:
             weights = widened(weights, before, after, settings.seed)
-        elif level == 1 and before != after and network.carry is Carry.FEATURES:
-            weights[_READS] = reading_wider(weights[_READS], before[0], after[0], settings.seed)
+        carried, wider = given.widths(level - 1)[0], network.widths(level - 1)[0]
+        if level and carried != wider and network.carry is Carry.FEATURES:
+            weights[_READS] = reading_wider(weights[_READS], carried, wider, settings.seed)
         new = own.state_dict()[_READS].shape[1] - weights[_READS].shape[1]  # channels, without a say at first
         weights[_READS] = pad(weights[_READS], (0, 0, 0, 0, 0, 0, 0, new))  # (C_out, C_in, 3, 3, 3)
         own.load_state_dict(weights, strict=False)  # `load_level` has seen to it that nothing else lacks
@@ -135,17 +140,21 @@ def _given_level(folder: Path, settings: TrainSettings, level: int) -> OctNetFus
     """A level (from 0) of the run to start from, in a network: as the settings say, but for what may lack."""
     wanted, there = Architecture.of(settings), level_architecture(folder, level)
     may_begin = level < wanted.finer or level >= there.finer  # to read one resolution more, or not to
+    widths = there if _widens(there, wanted, level) else wanted
     network = wanted.model_copy(update={
         "blend": wanted.blend and there.blend,
         "context": wanted.context if there.context else 0,
         "finer": there.finer if may_begin else wanted.finer,
         "normalise": there.normalise if wanted.normalise is Normaliser.NONE else wanted.normalise,
-        "first_channels": there.first_channels if _widens(there, wanted) else wanted.first_channels,
+        "channels": widths.channels,
+        "level_channels": widths.level_channels,
     }).network(level + 1)
     load_level(folder, network, level)
     return network
 
 
-def _widens(there: Architecture, wanted: Architecture) -> bool:
-    before, after = (one.first_channels or one.channels for one in (there, wanted))
-    return not wanted.residual and all(a >= b for a, b in zip(after, before, strict=True))
+def _widens(there: Architecture, wanted: Architecture, level: int) -> bool:
+    """Whether a level (from 0) and the one it reads have at least the channels of the run to start from."""
+    pairs = [(there.widths(one), wanted.widths(one)) for one in range(max(level - 1, 0), level + 1)]
+    return all(a == b or (not wanted.residual and a >= b)
+               for before, after in pairs for b, a in zip(before, after, strict=True))

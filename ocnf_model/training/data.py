@@ -20,15 +20,12 @@ from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.loading.mixture import MixtureDataset
 from ocnf_data.shards import load_dataset
 from ocnf_model.training.inputs import with_first_variant, with_training_variant, with_validation_variant
+from ocnf_model.training.record import VALIDATION
 from ocnf_model.training.settings import MixturePart, TrainSettings
 
 if TYPE_CHECKING:
     from ocnf_data.synthesis.sources import Sources
 
-VALIDATION = "validation"
-"""Folder in a run of what a manifest's validation samples were made into."""
-SAMPLES = "samples"
-"""Folder in a run of frames that were made into octrees (see `completion`)."""
 CACHE = "cache"
 """Folder in a run of the ground truths that epochs share."""
 _MANIFESTS = frozenset({".yaml", ".yml", ".json"})

@@ -24,6 +24,13 @@ def refuse_without_effect(settings: TrainSettings, where: object = "the settings
     Raises:
         OcnfError: code `manifest`, with the field; or the run to start from is missing or damaged.
     """
+    own = settings.level_channels or ()
+    if len(own) > settings.levels:
+        raise no_effect("level_channels", f"there are {settings.levels} levels", where, own,
+                        f"at most {settings.levels}, or more levels")
+    if len(own) == settings.levels:
+        _refuse(settings, ("channels",), "all levels have their own", f"fewer level_channels than "
+                f"{settings.levels}", where)
     if settings.output is Output.OCCUPANCY:
         _refuse(settings, _OF_A_TSDF, "an occupancy has the binary cross entropy", "output: tsdf", where)
     if not settings.blend:

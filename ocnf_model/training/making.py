@@ -12,8 +12,7 @@ from ocnf_data.files.storage import Store
 from ocnf_data.generation import Report, generate
 from ocnf_data.manifest import Manifest
 from ocnf_data.shards.dataset import DATASET, FAILURES
-from ocnf_model.training.data import VALIDATION
-from ocnf_model.training.record import is_begun
+from ocnf_model.training.record import VALIDATION, is_begun
 
 _MOST_JOBS = 8
 _MOST_NAMED = 5  # failures

@@ -22,10 +22,13 @@ from ocnf_data.files.records import Sha256, canonical_json
 from ocnf_data.files.storage import Store
 from ocnf_data.files.validation import Strict, validate
 from ocnf_model.header import TrainingData
-from ocnf_model.training.data import SAMPLES, VALIDATION
 from ocnf_model.training.settings import TrainSettings, read_settings, setting_difference
 
 SETTINGS = "settings.json"
+VALIDATION = "validation"
+"""Folder in a run of what a manifest's validation samples were made into."""
+SAMPLES = "samples"
+"""Folder in a run of frames that were made into octrees (see `completion`)."""
 _SCHEMA = 1
 _MAX_SETTINGS = 16 * 2**20  # bytes
 

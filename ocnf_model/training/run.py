@@ -14,8 +14,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from torch import Tensor
@@ -25,7 +27,7 @@ from ocnf_data.files.storage import Store
 from ocnf_model.checkpoint import load_level
 from ocnf_model.devices import memory_errors
 from ocnf_model.header import TrainingData
-from ocnf_model.network import OctNetFusion, Output
+from ocnf_model.network import Normaliser, OctNetFusion, Output, widths_at
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
 from ocnf_model.training.data import DataSource, StoredData, open_data
@@ -40,15 +42,16 @@ from ocnf_model.training.record import (
     write_record,
 )
 from ocnf_model.training.resume import check_state
-from ocnf_model.training.settings import TrainSettings
+from ocnf_model.training.settings import TrainSettings, read_settings
 from ocnf_model.training.stage import Job, Trainer
 from ocnf_model.training.train_state import TrainState, load_state, save_state
 from ocnf_model.training.world import World, join_world
 
 
-def train(data: str | Path | DataSource, out: str | Path, settings: TrainSettings | None = None, *,
-          device: str = "auto", console: Console | None = None, meshes: str | Path | None = None,
-          val: str | Path | None = None) -> OctNetFusion:
+def train(data: str | Path | DataSource, out: str | Path,
+          settings: TrainSettings | Mapping[str, Any] | None = None, *, device: str = "auto",
+          console: Console | None = None, meshes: str | Path | None = None, val: str | Path | None = None,
+          ) -> OctNetFusion:
     """Train all levels, or go on where an earlier call with the same arguments, or other epochs, stopped.
 
     Under `torchrun` all processes train together, each with batches of `batch_size`.
@@ -57,7 +60,7 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
         data: a data set that `generate` made, a folder or an fsspec URL; or a manifest (.yaml), whose samples
             are drawn as they are needed; or any other `DataSource`.
         out: folder of the run; a new one, or one begun with these settings.
-        settings: None for the paper's.
+        settings: the settings, or their fields as in a file; None for the paper's.
         device: `auto`, `cpu`, `cuda`, `cuda:1`.
         console: where the progress is shown; None for the terminal's error stream.
         meshes: the folder that a manifest's mesh paths are relative to.
@@ -72,7 +75,8 @@ def train(data: str | Path | DataSource, out: str | Path, settings: TrainSetting
     """
     folder = Path(out)
     console = console or Console(stderr=True, emoji=False)
-    settings = settings or TrainSettings()
+    if not isinstance(settings, TrainSettings):
+        settings = read_settings(settings or {}, "settings")
     check_start(folder, settings)
     asked = like_the_start(settings)
     with join_world(device) as world:
@@ -133,7 +137,7 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, network: Oct
     for level in range(settings.levels):
         if level >= state.level:
             if level >= max(n_started, 1):
-                network.start_from_previous(level)
+                _start_level(network, level, world, console)
             job = Job(folder, settings, network, source.training(folder, settings, level),
                       source.validation(folder, settings, level), training_data,
                       source.manifest["target"], world)
@@ -149,6 +153,15 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, network: Oct
             world.wait()
         load_level(folder, network, level)
     return network.eval()
+
+
+def _start_level(network: OctNetFusion, level: int, world: World, console: Console) -> None:
+    """Begin a level with the weights of the one before, and say where it cannot."""
+    left = network.start_from_previous(level)
+    if world.is_main and any(not name.startswith("first.") for name in left):  # which reads other channels
+        console.print(f"level {level + 1} has {network.widths(level)} channels where the one before has "
+                      f"{network.widths(level - 1)}: what differs begins with random weights",
+                      highlight=False, markup=False)
 
 
 def _training_data(source: DataSource, folder: Path, settings: TrainSettings) -> TrainingData:
@@ -190,7 +203,9 @@ def _less_memory(settings: TrainSettings, level: int) -> str:
     stage = settings.stage(level)
     ways = [f"a smaller batch_size (now {stage.batch_size}) with more accumulate "
             f"(now {stage.accumulate})"] if stage.batch_size > 1 else []
-    ways += [] if settings.checkpointing else ["--checkpointing"]
+    ways += [] if settings.checkpointing or settings.normalise is Normaliser.BATCH else ["--checkpointing"]
     ways += [] if settings.precision == "bfloat16" else ["--precision bfloat16"]
-    ways += [f"smaller channels (now {settings.channels}) or fewer levels"]
+    own = level < len(settings.level_channels or ())
+    now = widths_at(level, settings.channels, settings.level_channels)
+    ways += [f"smaller {'level_channels' if own else 'channels'} (now {now}) or fewer levels"]
     return f"try {', or '.join(ways)}"

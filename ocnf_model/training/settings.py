@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from enum import StrEnum
@@ -22,18 +21,10 @@ from ocnf_data.files.validation import Int, NotEmpty, Positive, Real, Strict, re
 from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.augment import Augment
 from ocnf_model.devices import Precision
-from ocnf_model.header import MAX_CHANNELS, Channels
+from ocnf_model.header import MAX_CHANNELS, Channels, LevelChannels
 from ocnf_model.network import Carry, Join, Normaliser, Output
 from ocnf_model.training.choice import BestBy
-
-
-class Decay(StrEnum):
-    """How the learning rate goes on from its first value."""
-
-    NONE = "none"
-    """The learning rate stays constant (the paper)."""
-    COSINE = "cosine"
-    """Half a cosine down to 0 at the end of the level, which short runs profit from."""
+from ocnf_model.training.schedule import Stage
 
 
 class Loss(StrEnum):
@@ -43,44 +34,6 @@ class Loss(StrEnum):
     """The mean absolute difference in units of tau, not clipped (the paper)."""
     TRUNCATED_L1 = "truncated_l1"
     """The same, but beyond the truncation distance every prediction on the right side is right."""
-
-
-class Stage(Strict):
-    """How one level is trained; the defaults are those of the later levels."""
-
-    epochs: Positive = 25
-    """Passes over the training split."""
-    batch_size: Positive = 1
-    """Samples a batch, for each process."""
-    accumulate: Positive = 4
-    """Batches whose gradients are averaged for one step; fewer at the end of an epoch."""
-    learning_rate: Annotated[Real, Field(gt=0)] = 1e-4
-    """The learning rate of Adam, at the first step."""
-    decay: Decay = Decay.NONE
-    """How the learning rate goes on."""
-    weight_decay: Annotated[Real, Field(ge=0)] = 1e-4
-    """L2 penalty: this times the weights is added to the gradient."""
-    crop: Annotated[Int, Field(ge=64, multiple_of=32)] | None = None
-    """Voxels along each axis of the box around the surface that a sample is trained on, in multiples of 32;
-    None for the whole grid (the paper). Validation takes the whole grid."""
-    crops: Positive = 1
-    """Boxes of each sample. What is made on the whole grid serves all of them: the sample itself, the tables
-    of its structures, and what the levels before carry up."""
-
-    freeze_after: Annotated[Int, Field(ge=0)] | None = None
-    """Epochs after which batch normalisation keeps its statistics, so that a level is trained as it is used;
-    0 for a level that begins with another's. None for never."""
-
-    def rate(self, done: int, steps: int) -> float:
-        """The learning rate of a step.
-
-        Args:
-            done: steps before it.
-            steps: number of steps in the whole level.
-        """
-        if self.decay is Decay.NONE:
-            return self.learning_rate
-        return self.learning_rate * (1 + math.cos(math.pi * done / steps)) / 2
 
 
 class MixturePart(Strict):
@@ -127,9 +80,9 @@ class TrainSettings(Strict):
     """What is reconstructed; None for the data set's target."""
     channels: tuple[Channels, Channels, Channels] = (16, 32, 64)
     """Features at the level's resolution, at half and at a quarter of it."""
-    first_channels: tuple[Channels, Channels, Channels] | None = None
-    """Those of the first level, which costs the least and which the later ones rely on; None for
-    `channels` (the paper)."""
+    level_channels: LevelChannels | None = None
+    """Those of the first few levels, one after the other, where they differ: the first level costs the least,
+    and the later ones rely on it. None for `channels` everywhere (the paper)."""
     band: Annotated[Real, Field(gt=0)] = 1.0
     """How far from the reconstructed surface the next level's cells are split, in its voxels."""
     context: Annotated[Int, Field(ge=0, le=MAX_CHANNELS)] = 0
@@ -159,7 +112,7 @@ class TrainSettings(Strict):
     start: str | None = None
     """A run, or `pretrained`, whose weights the levels begin with; None, and for levels that it lacks: random
     ones for the first, those of the level before for later ones. What the settings leave out of the
-    architecture is as it is there; `blend`, `context`, `finer` and a wider first level may be new, batch
+    architecture is as it is there; `blend`, `context`, `finer` and more channels may be new, batch
     normalisation may go."""
     seed: Annotated[Int, Field(ge=0)] = 0
     """The seed of the first weights, the order of the samples and the augmentation."""

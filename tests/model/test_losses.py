@@ -214,3 +214,12 @@ def test_what_does_not_fit_is_refused(make_batch) -> None:
         l1_loss(a, make_batch(0, channels=2))
     with pytest.raises(OcnfError, match="expected mean or none"):
         l1_loss(a, a, "sum")
+
+
+@pytest.mark.parametrize("loss", [l1_loss, truncated_l1_loss])
+def test_there_is_one_weight_a_voxel(loss, make_batch) -> None:
+    torch.manual_seed(0)
+    prediction, weights = (make_batch(i, (1, 1, 1), 1, channels, 0.3, torch.float64)
+                           for i, channels in enumerate((1, 10)))
+    with pytest.raises(OcnfError, match="weights: not one weight a voxel; found 10 channels"):
+        loss(prediction, prediction, weights=weights)

@@ -10,7 +10,7 @@ from ocnf_model import OctNetFusion
 from ocnf_model.network import reading_wider, widened
 
 BEFORE = {"channels": (2, 3, 4), "encoding": "tdf_occupancy", "levels": 2}
-WIDER = [(3, 3, 4), (2, 7, 4), (2, 3, 5), (5, 6, 16)]
+WIDER = [((3, 3, 4), (2, 3, 4)), ((2, 7, 4), (2, 3, 5)), ((2, 3, 5), (4, 3, 4)), ((5, 6, 16), (3, 5, 7))]
 
 
 @pytest.fixture
@@ -28,14 +28,14 @@ def at_random(network: OctNetFusion) -> OctNetFusion:
     return network.double().eval()
 
 
-def widen(narrow: OctNetFusion, widths: tuple[int, int, int], **settings) -> OctNetFusion:
-    wide = OctNetFusion(**BEFORE | settings, first_channels=widths).double().eval()
-    wide.levels[0].load_state_dict(widened(narrow.levels[0].state_dict(), narrow.channels, widths, seed=3))
-    later = dict(narrow.levels[1].state_dict())
-    if narrow.carry == "features":
-        before = later["first.0.weight"]
-        later["first.0.weight"] = reading_wider(before, narrow.channels[0], widths[0], seed=4)
-    wide.levels[1].load_state_dict(later)
+def widen(narrow: OctNetFusion, *widths: tuple[int, int, int], **settings) -> OctNetFusion:
+    wide = OctNetFusion(**BEFORE | settings, level_channels=widths).double().eval()
+    for level, own in enumerate(wide.levels):
+        weights = widened(narrow.levels[level].state_dict(), narrow.channels, wide.widths(level), seed=3)
+        if level and narrow.carry == "features":
+            before = weights["first.0.weight"]
+            weights["first.0.weight"] = reading_wider(before, narrow.channels[0], widths[0][0], seed=4)
+        own.load_state_dict(weights)
     return wide
 
 
@@ -46,11 +46,11 @@ def widen(narrow: OctNetFusion, widths: tuple[int, int, int], **settings) -> Oct
 def test_both_levels_give_what_they_gave(settings, widths, inputs) -> None:
     torch.manual_seed(1)
     narrow = at_random(OctNetFusion(**BEFORE | settings))
-    wide = widen(narrow, widths, **settings)
-    assert wide.first_widths == widths and wide.channels == (2, 3, 4)
+    wide = widen(narrow, *widths, **settings)
+    assert (wide.widths(0), wide.widths(1)) == widths and wide.channels == (2, 3, 4)
     with torch.no_grad():
         before, after = narrow.run(inputs), wide.run(inputs)
-    assert [one.features.channels for one in after] == [widths[0], 2]
+    assert [one.features.channels for one in after] == [widths[0][0], widths[1][0]]
     for ours, theirs in zip(after, before, strict=True):
         scale = theirs.raw.features.abs().max()
         assert scale > 1e-6
@@ -59,7 +59,7 @@ def test_both_levels_give_what_they_gave(settings, widths, inputs) -> None:
 
 def test_copies_have_gradients_of_their_own(inputs) -> None:
     torch.manual_seed(2)
-    wide = widen(at_random(OctNetFusion(**BEFORE)), (4, 6, 8)).requires_grad_()
+    wide = widen(at_random(OctNetFusion(**BEFORE)), (4, 6, 8), (2, 3, 4)).requires_grad_()
     wide.run(inputs)[1].raw.features.square().sum().backward()
     for name, width, copies in (("first.0", 2, 1), ("down1.0", 3, 2), ("bottom.1", 4, 2), ("up1.1", 2, 2)):
         weight = wide.get_submodule(f"levels.0.{name}").weight
@@ -81,7 +81,15 @@ def test_the_parts_that_copies_are_read_with_are_neither_nothing_nor_all() -> No
     assert not torch.allclose(wide[:, 0], weight[:, 0] / 3)
 
 
-@pytest.mark.parametrize("widths", [(16, 32), (0, 3, 4), (1, 2, 3, 4)])
-def test_first_channels_are_three_positive_numbers(widths) -> None:
-    with pytest.raises(OcnfError, match="first_channels: not channels"):
-        OctNetFusion(first_channels=widths)
+@pytest.mark.parametrize("widths", [(16, 32), (0, 3, 4), (1, 2, 3, 4), (4.0, 6, 8), 4, "123", None])
+def test_the_channels_of_a_level_are_three_positive_numbers(widths) -> None:
+    with pytest.raises(OcnfError, match="level_channels: not channels"):
+        OctNetFusion(level_channels=[(1, 1, 1), widths])
+
+
+def test_levels_without_channels_of_their_own_have_everyones() -> None:
+    network = OctNetFusion(channels=(2, 2, 2), level_channels=[(3, 2, 1), (2, 4, 3)], levels=4)
+    assert [network.widths(level) for level in range(4)] == [(3, 2, 1), (2, 4, 3), (2, 2, 2), (2, 2, 2)]
+    assert [level.bottom[0].weight.shape[0] for level in network.levels] == [1, 3, 2, 2]
+    with pytest.raises(OcnfError, match="level_channels: no channels"):
+        OctNetFusion(level_channels=[])

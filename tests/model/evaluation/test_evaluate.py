@@ -20,14 +20,15 @@ from ocnf_data import generate
 from ocnf_data.errors import OcnfError
 from ocnf_data.manifest import Manifest
 from ocnf_data.octree import GridOctree
-from ocnf_model import OctNetFusion, OctreeBatch
+from ocnf_model import OctNetFusion, OctreeBatch, load_network
 from ocnf_model.baselines import tvl1
 from ocnf_model.cli import app
 from ocnf_model.evaluation.figure import draw_surfaces
 from ocnf_model.evaluation.measure import TRUTH, Row
 from ocnf_model.evaluation.methods import default_weight
 from ocnf_model.evaluation.run import Evaluation, evaluate, run_choose_weight, run_evaluate
-from ocnf_model.evaluation.summary import summarise
+from ocnf_model.evaluation.summary import Summary, summarise
+from ocnf_model.evaluation.tables import markdown
 
 RESOLUTIONS = (32, 64)
 
@@ -261,3 +262,23 @@ def test_a_run_that_is_not_there(tiny: str, tmp_path: Path) -> None:
         run_evaluate(str(tmp_path / "none"), tiny)
     run_evaluate(str(tmp_path / "none"), tiny, methods=["volfus"], out=tmp_path / "out", limit=1, n_figures=0)
     assert (tmp_path / "out" / "evaluation.md").exists()
+
+
+def test_a_network_in_training_or_of_completion_is_refused(tiny: str) -> None:
+    with pytest.raises(OcnfError, match="network: the network is in training mode"):
+        evaluate(OctNetFusion(levels=1, channels=(2, 2, 2)), tiny)
+    with pytest.raises(OcnfError, match=r"network: not a module.*TrainedNetwork.*Take the `module`"):
+        evaluate(load_network(device="cpu"), tiny)
+    with pytest.raises(OcnfError, match="extra_channels: the network is one of completion"):
+        evaluate(OctNetFusion(levels=1, channels=(2, 2, 2), extra_channels=2).eval(), tiny)
+
+
+def test_the_table_by_category_has_one_measure(tmp_path: Path) -> None:
+    """A network of occupancy has no MAD, plain fusion does: its IoU is not shown as millimetres."""
+    figures = [Summary("v4", category, 64, method, 3, mad, iou, 0.5, 0.5, 1.0) for category in ("all", "mug")
+               for method, mad, iou in (("VolFus", 11.542, 0.4), ("Ours", math.nan, 0.049))]
+    for known, shown in ((figures, ["11.542", ""]), (figures[1::2], ["0.049"])):
+        text = markdown(known, "title", [])
+        table = text.split("by category\n\n")[1].split("\n\n")[0].splitlines()
+        assert [cell.strip() for cell in table[-1].strip("|").split("|")][1:] == shown
+        assert ("MAD in mm by category" in text) == (known is figures)

@@ -187,3 +187,16 @@ def test_wide_leaves_read_near_ones_alone(make_batch) -> None:
     full = Structure.full(1, (8, 8, 16))
     assert len(Neighbours.build(full).near) == 0
     assert torch.equal(near_rows(Neighbours.build(full), torch.ones(full.n_leaves, 2)), torch.ones(0, 2))
+
+
+def test_features_whose_rows_are_columns_have_gradients() -> None:
+    torch.manual_seed(0)
+    conv = OctreeConv3d(10, 4)
+    gradients = []
+    for values in (torch.rand(512, 10), None):
+        leaf = (gradients[0][0].t().contiguous().t() if values is None else values).requires_grad_()
+        x = OctreeBatch.full(torch.zeros(1, 10, 8, 8, 8)).with_features(leaf)
+        conv(x).features.square().sum().backward()
+        gradients.append((leaf.detach(), leaf.grad))
+    assert not gradients[1][0].is_contiguous()
+    torch.testing.assert_close(gradients[1][1], gradients[0][1])

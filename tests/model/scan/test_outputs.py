@@ -212,3 +212,32 @@ def test_what_lies_far_is_not_used_where_that_is_asked(scan: Path) -> None:
     assert limit_depth(read, None) is read
     with pytest.raises(OcnfError, match=r"max_depth: not a depth; found 1.5, expected metres, above 0"):
         limit_depth(read, "1.5")
+
+
+def test_every_file_of_several_methods_is_checked_first(scan: Path, tmp_path: Path) -> None:
+    for name in ("mesh-tvl1.ply", "tsdf-volfus.npz"):
+        (tmp_path / name).mkdir()
+        with pytest.raises(OcnfError, match=f"{name}: is a folder"):
+            fuse(scan, tmp_path / "mesh.ply", methods=["volfus,tvl1"], tsdf=tmp_path / "tsdf.npz")
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        (tmp_path / name).rmdir()
+
+
+@pytest.mark.parametrize("asked", [{"picture": "a.png", "preview": "a.png"},
+                                   {"picture": "sub/../a.png", "preview": "a.png"}], ids=str)
+def test_two_files_of_one_name_are_refused(asked, scan: Path, tmp_path: Path) -> None:
+    with pytest.raises(OcnfError, match="two files would have the same name"):
+        fuse(scan, tmp_path / "mesh.ply", **{what: tmp_path / name for what, name in asked.items()})
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_json_file_is_not_replaced_by_where_an_octree_lies(scan: Path, tmp_path: Path) -> None:
+    for text in ("{}", "[1]", "no JSON"):
+        (tmp_path / "keep.json").write_text(text)
+        with pytest.raises(OcnfError, match=r"keep.json: another file lies where"):
+            fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / "keep.oc")
+        assert (tmp_path / "keep.json").read_text() == text
+    (tmp_path / "keep.json").unlink()
+    for _ in range(2):  # its own is
+        fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / "keep.oc")
+    assert json.loads((tmp_path / "keep.json").read_text())["shape"] == [32, 32, 32]

@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
+from ocnf_model.tables.budget import make_budget
 from ocnf_model.tables.command import tables_command
 from ocnf_model.tables.plan import TablePlan
 from ocnf_model.tables.rates import epochs_within
 from ocnf_model.tables.run import make_tables
+from ocnf_model.training.settings import TrainSettings, read_settings
 
 Make = Callable[..., TablePlan]
 
@@ -132,3 +134,23 @@ def test_the_command_line_has_the_defaults_of_the_function() -> None:
     asked, given = (signature(function).parameters for function in (tables_command, make_tables))
     for name in ("weight_models", "device", "jobs", "up", "dry_run"):
         assert asked[name].default == given[name].default, name
+
+
+@pytest.mark.parametrize(("fields", "said"), [
+    ({"categories": ["airplane"]}, "categories: it would have no effect: the networks of a table"),
+    ({"variant": "v4"}, "variant: it would have no effect"),
+    ({"mixture": [{"weight": 1}], "samples_per_epoch": 4}, "mixture: it would have no effect"),
+    ({"output": "occupancy"}, "output: tables are of distances")], ids=str)
+def test_settings_that_make_no_table(fields, said, make: Make, tmp_path: Path,
+                                     settings: TrainSettings) -> None:
+    given = read_settings({**settings.model_dump(mode="json", exclude_unset=True), **fields}, "test")
+    with pytest.raises(OcnfError, match=said):
+        make("views", tmp_path / "out", settings=given)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_to_start_from_says_what_the_networks_are(tmp_path: Path, root: Path) -> None:
+    given = read_settings({"start": "pretrained", "levels": 1}, "test")
+    budget = make_budget(root, [], meshes=6, settings=given)
+    assert (budget.settings.context, budget.settings.level_channels) == (128, ((24, 48, 96),))
+    assert (budget.settings.finer, budget.settings.blend) == (1, True)

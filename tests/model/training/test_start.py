@@ -14,7 +14,7 @@ from ocnf_model.header import parse_header
 from ocnf_model.tensorfile import read_header
 from ocnf_model.training.options import merge_options
 from ocnf_model.training.run import train
-from ocnf_model.training.settings import Stage
+from ocnf_model.training.schedule import Stage
 from ocnf_model.training.stage import Trainer
 
 STILL = {"epochs": 1, "batch_size": 2, "accumulate": 2, "learning_rate": 1e-30, "weight_decay": 0}
@@ -105,26 +105,51 @@ def test_the_first_level_may_be_given_context(tiny, small, tmp_path) -> None:
         train(tiny, tmp_path / "back", small(context=0, start=str(tmp_path / "wider")), device="cpu")
 
 
-def test_the_first_level_may_be_wider(tiny, small, make_batch, tmp_path) -> None:
+@pytest.mark.parametrize("more", [
+    {"level_channels": [[4, 5, 4]]}, {"channels": [3, 4, 5]},
+    {"level_channels": [[2, 3, 4]], "channels": [2, 3, 5]}], ids=str)
+def test_levels_may_be_wider(more, tiny, small, make_batch, tmp_path) -> None:
     plain = train(tiny, tmp_path / "plain", small(blend=True), device="cpu")
     start = {"blend": True, "stages": [STILL], "start": str(tmp_path / "plain")}
-    wider = train(tiny, tmp_path / "wider", small(first_channels=[4, 5, 4], **start), device="cpu")
+    wider = train(tiny, tmp_path / "wider", small(**more, **start), device="cpu")
     inputs = [make_batch(level, (4 << level,) * 3, 2, 1, 0.3, torch.float32) for level in range(2)]
     with torch.no_grad():
         for ours, theirs in zip(wider(inputs), plain(inputs), strict=True):
             torch.testing.assert_close(ours.features, theirs.features, rtol=1e-4, atol=1e-5)
-    assert load_run(tmp_path / "wider").first_channels == (4, 5, 4)
-    taken = small(blend=True, stages=[STILL], start=str(tmp_path / "wider"))
-    with pytest.raises(OcnfError, match=r"first_channels: .*found \(4, 5, 4\), expected null"):
-        train(tiny, tmp_path / "back", taken.model_copy(update={"first_channels": None}), device="cpu")
+    loaded = load_run(tmp_path / "wider")
+    assert [loaded.widths(level) for level in range(2)] == [wider.widths(level) for level in range(2)]
+    assert [loaded.widths(level) for level in range(2)] != [plain.widths(level) for level in range(2)]
+    narrow = {"channels": [2, 3, 4], "level_channels": None, "start": str(tmp_path / "wider")}
+    with pytest.raises(OcnfError, match=r"channels: .*found .*, expected (null|\(2, 3, 4\))"):
+        train(tiny, tmp_path / "back", small(blend=True, stages=[STILL], **narrow), device="cpu")
     bare = merge_options(None, {"start": str(tmp_path / "wider"), "levels": 2, "workers": 0},
                          {"epochs": "1", "learning_rate": "1e-30"})
     assert same(train(tiny, tmp_path / "again", bare, device="cpu"), load_run(tmp_path / "wider"))
-    residual = train(tiny, tmp_path / "residual", small(residual=True), device="cpu")
-    assert residual.first_channels is None  # which convolutions add their input depends on the channels
-    with pytest.raises(OcnfError, match=r"first_channels: .*found null, expected \(4, 5, 4\)"):
-        train(tiny, tmp_path / "no", small(residual=True, first_channels=[4, 5, 4], stages=[STILL],
-                                           start=str(tmp_path / "residual")), device="cpu")
+
+
+def test_residual_levels_stay_as_wide_as_they_are(tiny, small, tmp_path) -> None:
+    train(tiny, tmp_path / "residual", small(residual=True), device="cpu")  # which convolutions add their
+    for widths in ({"level_channels": [[4, 5, 4]]}, {"channels": [2, 3, 5]}):  # input depends on the channels
+        wider = small(residual=True, stages=[STILL], start=str(tmp_path / "residual"), **widths)
+        with pytest.raises(OcnfError, match=r"channels: .*found (null|\(2, 3, 4\)), expected \("):
+            train(tiny, tmp_path / "no", wider, device="cpu")
+
+
+def test_channels_of_their_own_are_taken_over_for_as_many_levels_as_there_are(tiny, small, tmp_path) -> None:
+    own = {"level_channels": [[3, 3, 4], [2, 4, 4]]}
+    first = merge_options(None, {**small().model_dump(mode="json", exclude={"channels"}), **own}, {})
+    begun = train(tiny, tmp_path / "own", first, device="cpu")
+    again = merge_options(None, {"start": str(tmp_path / "own"), "levels": 1, "workers": 0},
+                          {"epochs": "1", "learning_rate": "1e-30"})
+    taken = train(tiny, tmp_path / "again", again, device="cpu")
+    assert taken.level_channels == ((3, 3, 4),) and same(begun, taken)
+    for more, message in (
+            ({"levels": 2, "channels": [4, 6, 8]}, r"channels: it would have no effect: all levels have"),
+            ({"level_channels": [[4, 4, 4]] * 2}, r"level_channels: it would .*there are 1 levels")):
+        settings = merge_options(None, {**again.model_dump(exclude_unset=True), **more}, {})
+        with pytest.raises(OcnfError, match=message):
+            train(tiny, tmp_path / "no", settings, device="cpu")
+    assert not (tmp_path / "no").exists()
 
 
 @pytest.mark.parametrize("normalise", ["none", "batch"])
@@ -242,7 +267,7 @@ def test_a_run_of_before_starts_were_recorded_goes_on(
 def test_another_network_is_refused_before_anything_is_written(tiny, small, tmp_path) -> None:
     train(tiny, tmp_path / "first", small(levels=1), device="cpu")
     with pytest.raises(OcnfError, match=r"level-1.safetensors.*channels: .*found"):
-        train(tiny, tmp_path / "other", small(channels=[2, 3, 5], start=f"{tmp_path}/first"), device="cpu")
+        train(tiny, tmp_path / "other", small(channels=[2, 2, 5], start=f"{tmp_path}/first"), device="cpu")
     assert not (tmp_path / "other" / "settings.json").exists()
     with pytest.raises(OcnfError, match="no such run"):
         train(tiny, tmp_path / "other", small(start=str(tmp_path / "nowhere")), device="cpu")

@@ -112,6 +112,14 @@ def test_a_finished_run_stays_as_it_is(finished, tiny, small) -> None:
     assert all(torch.equal(tensor, loaded[name]) for name, tensor in network.state_dict().items())
 
 
+def test_settings_may_be_their_fields(tiny, small, out) -> None:
+    fields = small(levels=1).model_dump(mode="json", exclude_unset=True)
+    train(tiny, out, fields, device="cpu")
+    train(tiny, out, small(levels=1), device="cpu")  # the same run, and done
+    with pytest.raises(OcnfError, match="level: unknown field"):
+        train(tiny, out, {"level": 1}, device="cpu")
+
+
 def test_a_later_level_begins_where_the_one_before_was_best(finished, tiny, small, out, monkeypatch) -> None:
     begun = {}
 
