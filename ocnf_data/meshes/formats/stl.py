@@ -17,7 +17,7 @@ from ocnf_data.meshes.formats.polygons import (
 
 _HEADER_BYTES = 84  # 80 of free text, then the number of triangles
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_WORDS = re.compile(rb"^[ \t]*(solid|endsolid|facet|endfacet)\b", re.IGNORECASE | re.MULTILINE)
+_WORDS = re.compile(rb"^[ \t]*(solid|end ?solid|facet|end ?facet)\b", re.IGNORECASE | re.MULTILINE)
 _VERTEX = re.compile(rb"\bvertex\b([^\n]*\n)", re.IGNORECASE)
 
 
@@ -38,7 +38,7 @@ def parse_stl(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
         values, counts = parse_numbers(lines, where, np.float64)
         if (counts != 3).any() or counts.size % 3:
             raise unreadable("a triangle has not three corners of three coordinates", where)
-        words = Counter(word.lower() for word in _WORDS.findall(text))
+        words = Counter(word.lower().replace(b" ", b"") for word in _WORDS.findall(text))
         n_facets, n_solids = counts.size // 3, words[b"solid"]
         if not (words[b"facet"] == words[b"endfacet"] == n_facets and words[b"endsolid"] == n_solids):
             raise unreadable("the file ends early, or a triangle has no end", where,

@@ -53,6 +53,8 @@ def code_of(path: Path, **limits) -> str:
 def test_what_those_are_cut_from_is_read(tmp_path) -> None:
     (tmp_path / "a.stl").write_text(STL)
     assert len(read_mesh(tmp_path / "a.stl").faces) == 2
+    (tmp_path / "a.stl").write_text(STL.replace("end", "END ").upper())  # as some programs write it
+    assert len(read_mesh(tmp_path / "a.stl").faces) == 2
     for name in ("Åke", "файл хата"):
         text = PLY.format("ascii", 3, 1).replace("ply\n", f"ply\ncomment {name}\n", 1)
         (tmp_path / "a.ply").write_text(text + TRIANGLE + "3 0 1 2\n\n", encoding="utf-8")
