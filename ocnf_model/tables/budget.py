@@ -165,9 +165,10 @@ def _of_tables(settings: TrainSettings) -> TrainSettings:
         OcnfError: code `manifest`, with the field.
     """
     for name in ("categories", "encoding", "mixture", "variant"):
-        if name in settings.model_fields_set and getattr(settings, name) is not None:
-            raise no_effect(name, "the networks of a table have their own", "settings of a table",
-                            getattr(settings, name), None, "leave it out")
+        found, default = getattr(settings, name), TrainSettings.model_fields[name].default
+        if found != default:
+            raise no_effect(name, "the networks of a table have their own", "settings of a table", found,
+                            default, "leave it out")
     if settings.output == "occupancy":
         raise OcnfError("tables are of distances", code="manifest", where="settings of a table",
                         field="output", found=settings.output, expected="tsdf")

@@ -139,6 +139,7 @@ def test_the_command_line_has_the_defaults_of_the_function() -> None:
 @pytest.mark.parametrize(("fields", "said"), [
     ({"categories": ["airplane"]}, "categories: it would have no effect: the networks of a table"),
     ({"variant": "v4"}, "variant: it would have no effect"),
+    ({"encoding": "tsdf"}, "encoding: it would have no effect.*found tsdf, expected histogram"),
     ({"mixture": [{"weight": 1}], "samples_per_epoch": 4}, "mixture: it would have no effect"),
     ({"output": "occupancy"}, "output: tables are of distances")], ids=str)
 def test_settings_that_make_no_table(fields, said, make: Make, tmp_path: Path,
