@@ -2,7 +2,7 @@
 
 Dense volumes are (C, D, H, W) float32 in C order; trees are (T, 2) uint64, the grid's (GD, GH, GW) flattened;
 `prefix` is `leaf_prefix(trees)`. What reads or writes voxels is parallel over the trees; each writes to its
-own place, so results do not depend on the number of threads. What only looks at trees and leaves is not.
+own place, so results do not depend on the number of threads. What only looks at trees and leaves is serial.
 """
 
 from __future__ import annotations
