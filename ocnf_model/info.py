@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.table import Table
 from torch import nn
 
-from ocnf_model.checkpoint import TrainedRun, open_run, run_folder, trained_levels
+from ocnf_data.errors import OcnfError
+from ocnf_model.checkpoint import TrainedRun, checkpoint_path, open_run, run_folder, trained_levels
 from ocnf_model.header import Header
 from ocnf_model.network import OctNetFusion
 from ocnf_model.ops import OctreeConv3d
@@ -26,8 +27,11 @@ def print_run(run: str | Path, console: Console) -> None:
     """
     folder = run_folder(run)
     if not trained_levels(folder):
-        from ocnf_model.training.record import read_record
+        from ocnf_model.training.record import SETTINGS, read_record
 
+        if not (folder / SETTINGS).is_file():
+            raise OcnfError("not a run", code="missing", where=folder,
+                            expected=f"{checkpoint_path(folder, 1).name}, or {SETTINGS} of one begun")
         begun = read_record(folder)
         settings, data = begun.settings, begun.data
         console.print(f"{folder}: {settings.levels} levels to be trained on {data.name} ({data.n_train} "

@@ -115,8 +115,14 @@ def bce_loss(logits: OctreeBatch, occupancy: OctreeBatch, reduction: str = Reduc
 
     A voxel whose occupancy is negative is not known and does not count; a grid without any has the loss 0.
     `weights` as of `l1_loss`; the mean is over voxels all the same, not over weights.
+
+    Raises:
+        OcnfError: an occupancy above 1, beside what `Pair.of` raises.
     """
     pair = Pair.of(logits, occupancy)
+    if (pair.target > 1 + 1e-5).any():  # means of ones may be off by rounding
+        raise OcnfError("not an occupancy", field="occupancy", found=float(pair.target.max()),
+                        expected="0 to 1, or below 0 where it is not known")
     known = pair.target >= 0
     costs = binary_cross_entropy_with_logits(pair.prediction, pair.target.clamp(min=0), reduction="none")
     costs = pair.weighed(costs, weights)

@@ -23,7 +23,7 @@ ARROWS = {
         "ocnf_data.errors ocnf_data.fusion ocnf_data.generation ocnf_data.loading ocnf_data.manifest "
         "ocnf_data.octree ocnf_data.render ocnf_data.synthesis ocnf_data.version ocnf_data.views",
     "ocnf_data.__main__": "ocnf_data.cli",
-    "ocnf_data.arrays": "",
+    "ocnf_data.arrays": "ocnf_data.errors",
     "ocnf_data.cli":
         "ocnf_data.doctor ocnf_data.encodings ocnf_data.export ocnf_data.generation ocnf_data.inspection "
         "ocnf_data.manifest ocnf_data.meshes ocnf_data.report ocnf_data.terminal ocnf_data.verify",
@@ -101,8 +101,8 @@ ARROWS = {
         "ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.info":
-        "ocnf_model.checkpoint ocnf_model.header ocnf_model.network ocnf_model.ops "
-        "ocnf_model.training",
+        "ocnf_data.errors ocnf_model.checkpoint ocnf_model.header ocnf_model.network "
+        "ocnf_model.ops ocnf_model.training",
     "ocnf_model.losses": "ocnf_data.errors ocnf_model.octree",
     "ocnf_model.measures":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.octree ocnf_data.views ocnf_model.losses "

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ocnf_data.arrays import F32
+from ocnf_data.arrays import F32, as_numbers
 from ocnf_data.encodings import Encoding
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import accumulate
@@ -116,6 +116,9 @@ _FUSIONS: dict[Encoding, _Fusion] = {
 def fuse(views: Views | DepthPyramid, encoding: Encoding, resolution: Resolution, extent: float = 3.0,
          truncation: float | None = None, *, centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
     """Fuse into the given encoding; arguments as for `fuse_tsdf`."""
+    if encoding not in tuple(Encoding):
+        raise OcnfError("no such encoding", where="fusion", field="encoding", found=encoding,
+                        expected=" or ".join(Encoding))
     return _FUSIONS[Encoding(encoding)](views, resolution, extent, truncation, centre=centre)
 
 
@@ -156,10 +159,11 @@ def _fuse(views: Views | DepthPyramid, grid: Grid, encoding: Encoding, kind: int
 def _grid(resolution: Resolution, extent: float, centre: Centre) -> Grid:
     shape = _shape(resolution)
     extent = _length("extent", extent, math.nan)
-    if len(centre) != 3 or not all(math.isfinite(c) for c in centre):
+    position = as_numbers(centre, "fusion", "centre", np.float64)
+    if position.shape != (3,) or not np.isfinite(position).all():
         raise OcnfError("not a position", where="fusion", field="centre", found=centre,
                         expected="(x, y, z) in metres")
-    return Grid(shape, extent / max(shape), (float(centre[0]), float(centre[1]), float(centre[2])))
+    return Grid(shape, extent / max(shape), (float(position[0]), float(position[1]), float(position[2])))
 
 
 def _shape(resolution: Resolution) -> tuple[int, int, int]:
@@ -172,8 +176,8 @@ def _shape(resolution: Resolution) -> tuple[int, int, int]:
 
 
 def _length(field: str, metres: float | None, default: float) -> float:
-    metres = default if metres is None else float(metres)
-    if not (math.isfinite(metres) and metres > 0):
+    metres = default if metres is None else metres
+    if not (isinstance(metres, float | int | np.number) and math.isfinite(metres) and metres > 0):
         raise OcnfError(f"{field} is not a length", where="fusion", field=field, found=metres,
                         expected="metres > 0")
-    return metres
+    return float(metres)

@@ -8,13 +8,14 @@ off).
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F32, F64, I64
+from ocnf_data.arrays import F32, F64, I64, as_numbers
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views
 
@@ -73,23 +74,27 @@ def render_depth(
     if backend not in RENDERERS:
         raise OcnfError("unknown backend", where="render_depth", field="backend", found=backend,
                         expected=" or ".join(RENDERERS))
-    if not (np.isfinite(near) and near >= _MIN_NEAR):
+    if not (isinstance(near, float | int | np.number) and np.isfinite(near) and near >= _MIN_NEAR):
         raise OcnfError("near plane out of range", where="render_depth", field="near", found=near,
                         expected=f"metres >= {_MIN_NEAR}")
     height, width = _checked_size(size)
     points, triangles = checked_mesh(vertices, faces, "render_depth")
-    rotations = np.asarray(R, dtype=np.float64)
+    rotations = as_numbers(R, "render_depth", "R", np.float64)
     if rotations.ndim != 3 or len(rotations) == 0:
         raise OcnfError("R has the wrong shape", where="render_depth", field="R", found=rotations.shape,
                         expected="(V, 3, 3) with V >= 1")
     # Views knows what cameras may be; one pixel each is enough to ask it.
-    cameras = Views(np.zeros((len(rotations), 1, 1), np.float32), np.asarray(K), rotations, np.asarray(T))
+    cameras = Views(np.zeros((len(rotations), 1, 1), np.float32),
+                    as_numbers(K, "render_depth", "K"), rotations, as_numbers(T, "render_depth", "T"))
     render = RENDERERS[backend]
     return render(points, triangles, cameras.K, cameras.R, cameras.T, (height, width), float(near))
 
 
 def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    height, width = (int(n) for n in size)
+    try:
+        height, width = (operator.index(n) for n in size)
+    except (TypeError, ValueError):
+        height = width = 0
     if not (1 <= height <= _MAX_SIDE and 1 <= width <= _MAX_SIDE):
         raise OcnfError("image size out of range", where="render_depth", field="size", found=size,
                         expected=f"(H, W), each 1 to {_MAX_SIDE}")
@@ -98,14 +103,14 @@ def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
 
 def checked_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, where: str) -> tuple[F64, I64]:
     """Vertices (N, 3) and faces (M, 3), both contiguous; OcnfError where they are not those of a mesh."""
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
+    points = np.ascontiguousarray(as_numbers(vertices, where, "vertices", np.float64))
     if points.ndim != 2 or points.shape[1] != 3:
         raise OcnfError("vertices have the wrong shape", where=where, field="vertices",
                         found=points.shape, expected="(N, 3)")
     if not np.isfinite(points).all():
         raise OcnfError("a vertex is not finite", code="non_finite", where=where,
                         field=f"vertices[{int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])}]")
-    index = np.asarray(faces)
+    index = as_numbers(faces, where, "faces")
     if index.size == 0:
         index = index.reshape(-1, 3).astype(np.int64)
     if index.ndim != 2 or index.shape[1] != 3 or not np.issubdtype(index.dtype, np.integer):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F32, F64
+from ocnf_data.arrays import F32, F64, as_numbers
 from ocnf_data.errors import OcnfError
 
 # A rotation read from a text file with six digits is off by about 1e-6; one off by more is not a rotation.
@@ -32,8 +32,8 @@ class Views:
         T: (V, 3) float64 metres, world to camera.
 
     Raises:
-        OcnfError: shapes that do not fit, negative or NaN depth, a K that is not a pinhole's, an R that
-            is not a rotation.
+        OcnfError: no numbers, shapes that do not fit, negative or NaN depth, a K that is not a pinhole's, an
+            R that is not a rotation.
     """
 
     depth: F32
@@ -42,9 +42,9 @@ class Views:
     T: F64
 
     def __post_init__(self) -> None:
-        depth = np.ascontiguousarray(self.depth, dtype=np.float32)
-        R = np.ascontiguousarray(self.R, dtype=np.float64)
-        T = np.ascontiguousarray(self.T, dtype=np.float64)
+        depth = np.ascontiguousarray(as_numbers(self.depth, "Views", "depth", np.float32))
+        R = np.ascontiguousarray(as_numbers(self.R, "Views", "R", np.float64))
+        T = np.ascontiguousarray(as_numbers(self.T, "Views", "T", np.float64))
         if depth.ndim != 3 or depth.size == 0:
             raise OcnfError("depth has the wrong shape", where="Views", field="depth",
                             found=depth.shape, expected="(V, H, W) with V, H, W >= 1")
@@ -115,7 +115,7 @@ def check_rotation(R: F64, where: object) -> None:
 
 
 def _pinhole(K: F64, n_views: int) -> F64:
-    K = np.asarray(K, dtype=np.float64)
+    K = as_numbers(K, "Views", "K", np.float64)
     if K.shape == (3, 3):
         K = np.broadcast_to(K, (n_views, 3, 3))
     if K.shape != (n_views, 3, 3):

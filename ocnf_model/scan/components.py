@@ -59,7 +59,7 @@ def decimate(vertices: F64, faces: I64, count: int) -> tuple[F64, I64]:
 
 def check_faces(count: int) -> None:
     """Raise OcnfError unless a mesh can be decimated to so many faces here."""
-    if count < 4:
+    if not isinstance(count, int | np.integer) or count < 4:
         raise OcnfError("not a number of faces", field="faces", found=count, expected="4 or more")
     check_library(_DECIMATING, "fuse")
 

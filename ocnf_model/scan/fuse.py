@@ -73,7 +73,10 @@ def choose_region(scan: Scan, pyramid: DepthPyramid, region: Region | None, room
 
 
 def refuse_both(box: object, room: bool) -> None:
-    """Raise OcnfError where both a box and the whole room are asked for."""
+    """Raise OcnfError where both a box and the whole room are asked for, or `room` is not a truth value."""
+    if not isinstance(room, bool | np.bool_):
+        raise OcnfError("neither true nor false", where="fuse", field="room", found=room,
+                        expected="True or False")
     if box is not None and room:
         raise OcnfError("a box and the whole room cannot both be fused", field="box", found=box,
                         expected="--box or --room")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from ocnf_data.arrays import F32, F64, Bool
+from ocnf_data.arrays import F32, F64, Bool, as_numbers
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.sequences.cube import measured_bounds, measured_points, object_box
@@ -49,10 +49,11 @@ class Region:
         Raises:
             OcnfError: not six finite numbers, or a corner that is not below the other.
         """
-        if len(box) != 6 or not np.isfinite(box).all() or (np.subtract(box[3:], box[:3]) <= 0).any():
-            raise OcnfError("not a box", field="box", found=" ".join(map(str, box)),
+        corners = as_numbers(box, "fuse", "box", np.float64)
+        if corners.shape != (6,) or not np.isfinite(corners).all() or (corners[3:] <= corners[:3]).any():
+            raise OcnfError("not a box", field="box", found=" ".join(map(str, np.ravel(corners))),
                             expected="x0 y0 z0 x1 y1 z1 in metres, x0 < x1, y0 < y1, z0 < z1")
-        x0, y0, z0, x1, y1, z1 = map(float, box)
+        x0, y0, z0, x1, y1, z1 = corners.tolist()
         return cls((x0, y0, z0), (x1, y1, z1), max(x1 - x0, y1 - y0, z1 - z0) / (1 - _PADDING))
 
     @property

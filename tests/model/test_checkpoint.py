@@ -14,11 +14,12 @@ import pytest
 import safetensors
 import safetensors.torch
 import torch
+from rich.console import Console
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import SHIPPED, checkpoint_sha256, load_level, load_run, open_run, save_checkpoint
 from ocnf_model.header import Architecture, Header, TrainingData
-from ocnf_model.info import training_table
+from ocnf_model.info import print_run, training_table
 from ocnf_model.network import OctNetFusion
 from ocnf_model.tensorfile import TensorKind, read_tensors, write_tensors
 
@@ -245,6 +246,12 @@ def test_pretrained_weights_are_read_or_their_lack_is_said(monkeypatch, folder, 
     monkeypatch.setitem(SHIPPED, "pretrained", tmp_path)
     with pytest.raises(OcnfError, match=r"without pretrained weights.*ocnf-model train"):
         load_run("pretrained")
+
+
+def test_info_of_a_folder_without_a_first_level_says_what_is_missing(folder) -> None:
+    (folder / "level-1.safetensors").unlink()
+    with pytest.raises(OcnfError, match=r"not a run; expected level-1\.safetensors, or settings\.json"):
+        print_run(folder, Console())
 
 
 def test_info_has_a_column_for_every_figure_and_a_dash_where_a_level_lacks_it(folder) -> None:

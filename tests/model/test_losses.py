@@ -216,6 +216,14 @@ def test_what_does_not_fit_is_refused(make_batch) -> None:
         l1_loss(a, a, "sum")
 
 
+def test_what_is_no_occupancy_is_refused(make_batch) -> None:
+    a = make_batch(0, channels=1)
+    ones = a.with_features(torch.ones_like(a.features))
+    assert bce_loss(a, ones).isfinite()
+    with pytest.raises(OcnfError, match=r"occupancy: not an occupancy; found 1\.5"):
+        bce_loss(a, ones.with_features(1.5 * ones.features))
+
+
 @pytest.mark.parametrize("loss", [l1_loss, truncated_l1_loss])
 def test_there_is_one_weight_a_voxel(loss, make_batch) -> None:
     torch.manual_seed(0)

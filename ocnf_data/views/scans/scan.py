@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ocnf_data.arrays import F32, F64, U8
+from ocnf_data.arrays import F32, F64, U8, as_numbers
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import Views, resized, same_shape
 from ocnf_data.views.scans.agreement import Agreement, agreement, judge
@@ -92,8 +91,8 @@ class Scan:
         where = "Scan.from_arrays"
         looks = convention(Axes, axes, where, "axes")
         turns = convention(Direction, direction, where, "direction")
-        metres = _metres(_array(depth, "depth"), depth_scale)
-        matrices = _array(poses, "poses", np.float64)
+        metres = _metres(as_numbers(depth, "Scan.from_arrays", "depth"), depth_scale)
+        matrices = as_numbers(poses, "Scan.from_arrays", "poses", np.float64)
         n = len(metres)
         if matrices.shape != (n, 4, 4):
             raise OcnfError(f"the poses do not fit the {n} depth maps", where="Scan.from_arrays",
@@ -103,27 +102,10 @@ class Scan:
             raise OcnfError(f"the names do not fit the {n} depth maps", where="Scan.from_arrays",
                             field="names", found=len(called), expected=n)
         R, T = to_camera(matrices, [f"{where}: {name}" for name in called], turns, looks)
-        views = Views(metres, _array(K, "K", np.float64), R, T)
+        views = Views(metres, as_numbers(K, "Scan.from_arrays", "K", np.float64), R, T)
         found = agreement(views, looks)
         return cls(views, called, colour=_colour(colour, views), agreement=found,
                    warnings=tuple(judge(found, views, where)))
-
-
-def _array(value: npt.ArrayLike, field: str, dtype: type | None = None) -> npt.NDArray[Any]:
-    """What an argument holds as one array.
-
-    Raises:
-        OcnfError: there is none, such as of a list of maps of several sizes.
-    """
-    try:
-        return np.asarray(value, dtype=dtype)
-    except (TypeError, ValueError) as error:
-        found = type(value).__name__
-        if isinstance(value, list | tuple):
-            with suppress(TypeError, ValueError):
-                found = f"a {found} of shapes " + ", ".join(map(str, dict.fromkeys(map(np.shape, value))))
-        raise OcnfError("not one array of numbers", where="Scan.from_arrays", field=field, found=found,
-                        expected="all of one shape") from error
 
 
 def _metres(depth: npt.NDArray[Any], scale: float | None) -> F32:
@@ -152,7 +134,7 @@ def to_metres(stored: npt.NDArray[Any], unit: float) -> F32:
 def _colour(colour: npt.ArrayLike | None, views: Views) -> Colour | None:
     if colour is None:
         return None
-    images = _array(colour, "colour")
+    images = as_numbers(colour, "Scan.from_arrays", "colour")
     if images.ndim != 4 or images.shape[0] != len(views) or images.shape[3] != 3 or images.dtype != np.uint8:
         raise OcnfError("colour does not fit the depth", where="Scan.from_arrays", field="colour",
                         found=f"{images.dtype} {images.shape}", expected=f"uint8 ({len(views)}, H, W, 3)")

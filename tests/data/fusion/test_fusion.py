@@ -184,13 +184,19 @@ def test_the_default_truncation_is_the_papers():
         ({"resolution": (64, 64, 60)}, "resolution"), ({"extent": 0.0}, "extent"),
         ({"extent": float("nan")}, "extent"), ({"truncation": -0.1}, "truncation"),
         ({"truncation": float("inf")}, "truncation"), ({"centre": (0.0, 0.0)}, "centre"),
-        ({"centre": (0.0, float("nan"), 0.0)}, "centre"),
+        ({"centre": (0.0, float("nan"), 0.0)}, "centre"), ({"centre": "abc"}, "centre"),
+        ({"centre": 0.0}, "centre"), ({"extent": "3"}, "extent"), ({"truncation": [0.1]}, "truncation"),
     ],
 )  # fmt: skip
 def test_bad_arguments_are_named(scenes, arguments, field):
     with pytest.raises(OcnfError) as error:
         fuse_tsdf(scenes["box"], **{"resolution": 64, **arguments})
     assert error.value.field == field
+
+
+def test_an_unknown_encoding_is_named(scenes):
+    with pytest.raises(OcnfError, match="encoding: no such encoding; found sdf, expected occupancy or tsdf"):
+        fuse(scenes["box"], "sdf", 64)
 
 
 def test_a_bad_threshold_is_named(scenes):

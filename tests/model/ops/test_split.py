@@ -69,8 +69,9 @@ def test_what_does_not_fit_is_refused(make_batch) -> None:
     x = make_batch(0, channels=1)
     with pytest.raises(OcnfError, match="one channel"):
         split_surface(x, make_batch(0, channels=2))
-    with pytest.raises(OcnfError, match="not a band"):
-        split_surface(x, x, band=-1)
+    for band in (-1, float("inf"), float("nan")):
+        with pytest.raises(OcnfError, match="not a band"):
+            split_surface(x, x, band=band)
     with pytest.raises(OcnfError, match="differ in size"):
         split_surface(x, make_batch(0, (1, 1, 2), channels=1))
     with pytest.raises(OcnfError, match="differ in size"):

@@ -74,6 +74,10 @@ def test_it_says_what_it_was_trained_on(pretrained: TrainedNetwork) -> None:
     ({"scan": "folder"}, "not depth frames"),
     ({"resolution": 100}, "no level of this resolution"),
     ({"box": (0, 0, 0, 1)}, "not a box"),
+    ({"box": "here"}, "box: not one array of numbers"),
+    ({"box": 1.0}, "not a box"),
+    ({"room": "no"}, "room: neither true nor false; found no"),
+    ({"faces": 100.5}, "not a number of faces"),
     ({"box": (50, 50, 50, 51, 51, 51)}, "no frame looks at it"),
 ])
 def test_what_cannot_be_fused_is_refused(scan: Path, pretrained: TrainedNetwork, change: dict,

@@ -63,7 +63,7 @@ def test_poses_that_are_not_finite_or_not_rigid_are_refused_by_name(scene, bad: 
     ({"depth_scale": -1000}, "depth_scale: not a scale"),
     ({"direction": "c2w"}, "direction: not a direction.*found c2w, expected camera-to-world or"),
     ({"depth": [np.ones((48, 64)), np.ones((24, 32))]},
-     r"depth: not one array of numbers; found a list of shapes \(48, 64\), \(24, 32\), expected all of one"),
+     r"depth: not one array of numbers; found a list of shapes \(48, 64\), \(24, 32\), expected real num"),
     ({"colour": [np.zeros((48, 64, 3), np.uint8), np.zeros((24, 32, 3), np.uint8)]},
      r"colour: not one array of numbers; found a list of shapes \(48, 64, 3\), \(24, 32, 3\)"),
     ({"poses": [["a"]]}, "poses: not one array of numbers"),
