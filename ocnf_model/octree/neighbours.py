@@ -4,9 +4,10 @@ For a leaf c and an offset k = 9 kz + 3 ky + kx (k - 1 = -1, 0, 1 along each axi
 matrix holds, for each leaf l, the fraction of the voxels v of c for which v + k - 1 lies in l. Voxels outside
 the grid count for nothing.
 
-The leaves of a tree come in two kinds, in this order: *wide* ones, 8, 4 or 2 voxels wide, whose rows are
-sparse; then *octets*, the eight voxels of a divided node, whose rows have a single entry of 1 each: for them
-it is enough to know the leaves at the 4x4x4 voxels in and around the octet.
+The leaves of a tree come in three kinds, in this order: *wide* ones, 8 or 4 voxels wide, whose rows are kept
+as a sparse matrix; *twos*, 2 voxels wide; and *octets*, the eight voxels of a divided node, whose rows have a
+single entry of 1 each. For a two and for an octet it is enough to know the leaves at the 4x4x4 voxels in and
+around it: the rows of a two are means over 2x2x2 of them.
 """
 
 from __future__ import annotations
@@ -20,30 +21,35 @@ from numba import njit, prange
 from torch import Tensor
 
 from ocnf_data.arrays import F32, I16, I32, I64, Prefix, TreeArray
-from ocnf_data.octree.bits import MAX_LEAVES, is_split, leaf_of_voxel, popcount, tree_leaves
+from ocnf_data.octree.bits import MAX_LEAVES, child_bits, is_split, leaf_of_voxel, popcount, tree_leaves
 from ocnf_model.octree.leaves import tree_at, tree_place
 from ocnf_model.octree.structure import Structure
 
 N_OFFSETS = 27
-N_AROUND = 64  # voxels in and around an octet
+N_AROUND = 64  # voxels in and around an octet or a two
 HALO = 10  # a tree and one voxel around it
+_WIDE, _TWOS, _OCTETS = 0, 1, 2
 Corner: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The overlap matrix of a structure with L leaves: O octets and I wide leaves.
+    """The overlap matrix of a structure with L leaves: O octets, W twos and I wide leaves.
 
     Attributes:
-        octets: (O, 64) int32, the leaf at each voxel (z, y, x) in and around an octet; L outside the grid.
-        voxels, wide: (8 O,) and (I,) int64, the leaves that are voxels and the others, each in order.
+        octets, twos: (O, 64) and (W, 64) int32, the leaf at each voxel (z, y, x) in and around one; L outside
+            the grid.
+        voxels, two_wide, wide: (8 O,), (W,) and (I,) int64, the leaves of width 1, of width 2 and the others,
+            each in order.
         near: (U,) int64, the leaves that some wide leaf reads, in order.
         starts: (27 I + 1,) int32, row (i, k) has the entries starts[27 i + k] to starts[27 i + k + 1].
         columns, weights: (N,) int32 and float32, which of the leaves `near` an entry is, and its fraction.
     """
 
     octets: Tensor
+    twos: Tensor
     voxels: Tensor
+    two_wide: Tensor
     wide: Tensor
     near: Tensor
     starts: Tensor
@@ -54,15 +60,16 @@ class Neighbours:
     def build(cls, structure: Structure) -> Neighbours:
         """Compute the matrix on the CPU."""
         trees, prefix, grid = structure.flat, structure.prefix, structure.grid
-        octet_prefix = octets_before(trees)  # (T + 1,)
-        starts = np.zeros(N_OFFSETS * int(prefix[-1] - 8 * octet_prefix[-1]) + 1, np.int64)  # (27 I + 1,)
-        count_wide(trees, prefix, grid, octet_prefix, starts[1:])
+        before = kinds_before(trees)  # (T + 1, 3)
+        starts = np.zeros(N_OFFSETS * int(before[-1, _WIDE]) + 1, np.int64)  # (27 I + 1,)
+        count_wide(trees, prefix, grid, before, starts[1:])
         np.cumsum(starts, out=starts)
-        octets, columns, weights = fill(trees, prefix, grid, octet_prefix, starts)
+        octets, twos, columns, weights = fill(trees, prefix, grid, before, starts)
         near = among_near(columns, int(prefix[-1]))
-        voxels, wide = (np.flatnonzero(of) for of in (structure.sizes == 1, structure.sizes > 1))
+        sizes = structure.sizes
+        voxels, two_wide, wide = (np.flatnonzero(of) for of in (sizes == 1, sizes == 2, sizes > 2))
         return cls(*(torch.from_numpy(array) for array in (
-            octets, voxels, wide, near, starts.astype(np.int32), columns, weights)))
+            octets, twos, voxels, two_wide, wide, near, starts.astype(np.int32), columns, weights)))
 
     def to(self, device: torch.device) -> Neighbours:
         """The tables on a device."""
@@ -70,11 +77,16 @@ class Neighbours:
 
 
 @njit(cache=True, nogil=True)
-def octets_before(trees: TreeArray) -> I64:
-    """(T + 1,): divided nodes of width 2, bits 9 to 72, in the trees before each, and in all."""
-    before = np.zeros(len(trees) + 1, np.int64)
+def kinds_before(trees: TreeArray) -> I64:
+    """(T + 1, 3): the wide leaves, twos and octets in the trees before each, and in all."""
+    before = np.zeros((len(trees) + 1, 3), np.int64)
     for t in range(len(trees)):
-        before[t + 1] = before[t] + popcount(trees[t, 0] >> np.uint64(9)) + popcount(trees[t, 1])
+        lo, hi = trees[t]
+        divided = popcount(child_bits(lo, hi, 0))  # nodes of width 4, and below those of width 2
+        octets = popcount(lo >> np.uint64(9)) + popcount(hi)
+        before[t + 1, _WIDE] = before[t, _WIDE] + (8 - divided if is_split(lo, hi, 0) else 1)
+        before[t + 1, _TWOS] = before[t, _TWOS] + 8 * divided - octets
+        before[t + 1, _OCTETS] = before[t, _OCTETS] + octets
     return before
 
 
@@ -181,14 +193,14 @@ def _around_tree(
 
 @njit(cache=True, nogil=True, parallel=True)
 def count_wide(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], octet_prefix: I64, counts: I64
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], before: I64, counts: I64
 ) -> None:
     """Add the number of entries of each row (i, k) of the wide leaves to `counts` (27 I,)."""
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
-        n_wide = n - 8 * (octet_prefix[t + 1] - octet_prefix[t])
-        row = N_OFFSETS * (prefix[t] - 8 * octet_prefix[t])
+        n_wide = before[t + 1, _WIDE] - before[t, _WIDE]
+        row = N_OFFSETS * before[t, _WIDE]
         found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
         if n > 1 and n_wide:
@@ -207,33 +219,42 @@ def count_wide(
 
 @njit(cache=True, nogil=True, parallel=True)
 def fill(
-    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], octet_prefix: I64, starts: I64
-) -> tuple[I32, I32, F32]:
-    """`octets`, `columns` and `weights`, as in `Neighbours`."""
-    octets = np.empty((octet_prefix[-1], N_AROUND), np.int32)  # (O, 64)
+    trees: TreeArray, prefix: Prefix, grid: tuple[int, int, int], before: I64, starts: I64
+) -> tuple[I32, I32, I32, F32]:
+    """`octets`, `twos`, `columns` and `weights`, as in `Neighbours`."""
+    octets = np.empty((before[-1, _OCTETS], N_AROUND), np.int32)  # (O, 64)
+    twos = np.empty((before[-1, _TWOS], N_AROUND), np.int32)  # (W, 64)
     columns = np.empty(starts[-1], np.int32)  # (N,)
     weights = np.empty(starts[-1], np.float32)  # (N,)
     for t in prange(len(trees)):
         cells = np.empty((MAX_LEAVES, 4), np.int16)
         n = tree_leaves(trees[t, 0], trees[t, 1], cells)
-        n_wide = n - 8 * (octet_prefix[t + 1] - octet_prefix[t])
+        n_wide = before[t + 1, _WIDE] - before[t, _WIDE]
+        n_twos = before[t + 1, _TWOS] - before[t, _TWOS]
         leaves, widths = np.empty((HALO, HALO, HALO), np.int32), np.empty((HALO, HALO, HALO), np.int32)
         found = np.empty((HALO**3, 10), np.int32)  # (1000, 10)
         if n > 1:
             _paint_halo(trees, prefix, grid, t, leaves, widths)
-        row = N_OFFSETS * (prefix[t] - 8 * octet_prefix[t])
+        row = N_OFFSETS * before[t, _WIDE]
         for i in range(n_wide):
             n_found = _around_leaf(cells[i], leaves, widths, found) if n > 1 \
                 else _around_tree(trees, prefix, grid, t, found)
             _fill_rows(found[:n_found], starts[row : row + N_OFFSETS].copy(), cells[i, 3], columns, weights)
             row += N_OFFSETS
-        for o in range(octet_prefix[t], octet_prefix[t + 1]):
-            first = n_wide + 8 * (o - octet_prefix[t])
-            z, y, x = cells[first, 0], cells[first, 1], cells[first, 2]
-            around = leaves[z : z + 4, y : y + 4, x : x + 4].copy().reshape(N_AROUND)
-            for v in range(N_AROUND):
-                octets[o, v] = around[v] if around[v] >= 0 else prefix[-1]
-    return octets, columns, weights
+        for i in range(n_twos):
+            _copy_around(leaves, cells[n_wide + i], prefix[-1], twos[before[t, _TWOS] + i])
+        for i in range(before[t + 1, _OCTETS] - before[t, _OCTETS]):
+            _copy_around(leaves, cells[n_wide + n_twos + 8 * i], prefix[-1], octets[before[t, _OCTETS] + i])
+    return octets, twos, columns, weights
+
+
+@njit(cache=True, nogil=True)
+def _copy_around(leaves: I32, cell: I16, outside: int, around: I32) -> None:
+    """Write the leaves at the 4^3 voxels in and around 2^3, whose first has the corner in `cell`."""
+    z, y, x = cell[0], cell[1], cell[2]
+    cube = leaves[z : z + 4, y : y + 4, x : x + 4].copy().reshape(N_AROUND)
+    for v in range(N_AROUND):
+        around[v] = cube[v] if cube[v] >= 0 else outside
 
 
 @njit(cache=True, nogil=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, TypeVar
 
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from ocnf_model.octree.leafmap import sparse_product
 from ocnf_model.octree.neighbours import N_AROUND, N_OFFSETS, Neighbours
-from ocnf_model.ops.gather import copy_rows, gather_octets
+from ocnf_model.ops.gather import average_twos, average_twos_bfloat16, copy_rows, gather_octets
 
 _Result = TypeVar("_Result")
 
@@ -27,30 +28,43 @@ _AROUND = torch.arange(N_AROUND).view(4, 4, 4) \
 _MIN_CHUNKS = 4  # a thread: with fewer it is not worth starting
 
 
+class Kind(Enum):
+    """The kinds of leaves that `Neighbours` tells apart."""
+
+    OCTETS = "octets"
+    TWOS = "twos"
+    WIDE = "wide"
+
+
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive octets, or wide leaves and their sparse entries."""
+    """Consecutive octets, twos, or wide leaves and their sparse entries."""
 
+    kind: Kind
     rows: slice
-    entries: slice | None
+    entries: slice | None = None
 
     def __len__(self) -> int:
         """Number of leaves."""
-        return (self.rows.stop - self.rows.start) * (8 if self.entries is None else 1)
+        return (self.rows.stop - self.rows.start) * (8 if self.kind is Kind.OCTETS else 1)
 
 
 def plan(neighbours: Neighbours, channels: int) -> list[Chunk]:
     """Chunks of all leaves, for features of that many channels: octets first."""
     elements = _CPU_ELEMENTS if neighbours.octets.device.type == "cpu" else _GPU_ELEMENTS
-    size = max(8, elements // (N_OFFSETS * channels))
-    n_octets, n_wide = len(neighbours.octets), len(neighbours.wide)
-    # All of a kind have one length but the last: oneDNN compiles a kernel for each.
-    chunks = [Chunk(slice(i, min(i + size // 8, n_octets)), None) for i in range(0, n_octets, size // 8)]
+    size = max(1, elements // (N_OFFSETS * channels * 8)) * 8
+    # All have one length, but the last of a kind: oneDNN compiles a kernel for each.
+    chunks = [Chunk(Kind.OCTETS, rows) for rows in _parts(len(neighbours.octets), size // 8)]
+    chunks += [Chunk(Kind.TWOS, rows) for rows in _parts(len(neighbours.twos), size)]
     # One transfer for all bounds: on a GPU, reading them one by one would wait for each.
     bounds = [*neighbours.starts[:: N_OFFSETS * size].tolist(), len(neighbours.columns)]
-    for n, i in enumerate(range(0, n_wide, size)):
-        chunks.append(Chunk(slice(i, min(i + size, n_wide)), slice(bounds[n], bounds[n + 1])))
+    for n, rows in enumerate(_parts(len(neighbours.wide), size)):
+        chunks.append(Chunk(Kind.WIDE, rows, slice(bounds[n], bounds[n + 1])))
     return chunks
+
+
+def _parts(total: int, size: int) -> list[slice]:
+    return [slice(i, min(i + size, total)) for i in range(0, total, size)]
 
 
 def near_rows(neighbours: Neighbours, features: Tensor) -> Tensor:
@@ -66,15 +80,20 @@ def gather(neighbours: Neighbours, features: Tensor, near: Tensor,
     The second tensor is overwritten by the next chunk. `near` are the `near_rows`, for all chunks once.
     """
     features = features.detach()
-    lengths = [len(chunk) for chunk in chunks if chunk.entries is None]
+    lengths = [len(chunk) for chunk in chunks if chunk.kind is not Kind.WIDE]
     buffer = features.new_empty(max(lengths, default=0), N_OFFSETS * features.shape[1])
-    copy = _copy_by_kernel if features.device.type == "cpu" else _copy
+    on_cpu = features.device.type == "cpu"
+    copy = _copy_by_kernel if on_cpu else _copy
+    average = _average_by_kernel if on_cpu and features.dtype is not torch.float16 else _average
     for chunk in chunks:
-        if chunk.entries is None:
+        if chunk.kind is Kind.OCTETS:
             leaves = neighbours.voxels[8 * chunk.rows.start : 8 * chunk.rows.stop]  # (m,)
             copy(neighbours.octets[chunk.rows], features, buffer[: len(chunk)])
             yield leaves, buffer[: len(chunk)]
-        else:
+        elif chunk.kind is Kind.TWOS:
+            average(neighbours.twos[chunk.rows], features, buffer[: len(chunk)])
+            yield neighbours.two_wide[chunk.rows], buffer[: len(chunk)]
+        elif chunk.entries is not None:
             leaves = neighbours.wide[chunk.rows]  # (m,)
             starts = neighbours.starts[N_OFFSETS * chunk.rows.start : N_OFFSETS * chunk.rows.stop + 1]
             gathered = sparse_product(starts - chunk.entries.start, neighbours.columns[chunk.entries],
@@ -92,6 +111,25 @@ def _copy(octets: Tensor, features: Tensor, out: Tensor) -> None:
 def _copy_by_kernel(octets: Tensor, features: Tensor, out: Tensor) -> None:
     """The same on a CPU."""
     gather_octets(octets.numpy(), _as_numpy(features), _as_numpy(out))
+
+
+def _average(twos: Tensor, features: Tensor, out: Tensor) -> None:
+    """Write the means around each of (w, 64) leaves of width 2, (w, 27 C)."""
+    padded = torch.cat([features, features.new_zeros(1, features.shape[1])])  # (L + 1, C)
+    around = padded.index_select(0, twos.view(-1))  # (64 w, C)
+    sums = (around.float() if around.element_size() < 4 else around).view(-1, 4, 4, 4, features.shape[1])
+    for axis in (3, 2, 1):
+        sums = sums.narrow(axis, 0, 3) + sums.narrow(axis, 1, 3)
+    out.copy_((sums / 8).flatten(1))
+
+
+def _average_by_kernel(twos: Tensor, features: Tensor, out: Tensor) -> None:
+    """The same on a CPU, but for float16, which numba does not know."""
+    if features.dtype is torch.bfloat16:
+        average_twos_bfloat16(twos.numpy(), features.view(torch.uint16).numpy(),
+                              out.view(torch.uint16).numpy())
+    else:
+        average_twos(twos.numpy(), features.numpy(), out.numpy())
 
 
 def put_rows(out: Tensor, leaves: Tensor, rows: Tensor) -> None:

@@ -12,7 +12,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_model import OctreeBatch, OctreeConv3d
 from ocnf_model.octree.neighbours import Neighbours
 from ocnf_model.octree.structure import Structure
-from ocnf_model.ops import octree_conv
+from ocnf_model.ops import chunks, octree_conv
 from ocnf_model.ops.chunks import near_rows
 
 
@@ -165,6 +165,22 @@ def test_what_does_not_fit_is_refused(channels, dtype, message, make_batch) -> N
         OctreeConv3d(2, 4)(make_batch(0, channels=channels, dtype=dtype))
     with pytest.raises(OcnfError, match="out_channels"):
         OctreeConv3d(2, 0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+@pytest.mark.parametrize("channels", [1, 3, 16, 26])
+def test_means_around_twos_are_those_of_pytorch_to_the_bit(channels: int, dtype: torch.dtype) -> None:
+    """Both add along x, y, z; bfloat16 is rounded as PyTorch rounds, ties, what is not finite and all."""
+    torch.manual_seed(channels)
+    features = torch.randn(500, channels).mul(2.0 ** torch.randint(-3, 4, (500, 1))).to(dtype)
+    features[::50] = torch.tensor([0.0, 1.0, -1.0, 2.0**-130, torch.inf] * 2).to(dtype)[:, None]
+    twos = torch.randint(0, 501, (40, 64), dtype=torch.int32)  # 500 is outside the grid
+    twos[0] = 500
+    made = [torch.full((40, 27 * channels), torch.nan, dtype=dtype) for _ in range(2)]
+    for out, average in zip(made, (chunks._average, chunks._average_by_kernel), strict=True):
+        average(twos, features, out)
+    assert not made[0][0].any()
+    torch.testing.assert_close(made[1], made[0], rtol=0, atol=0, equal_nan=True)
 
 
 def test_wide_leaves_read_near_ones_alone(make_batch) -> None:
