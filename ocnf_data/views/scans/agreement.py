@@ -4,9 +4,13 @@ A pose that is taken the wrong way round, a trajectory in millimetres, a wrong d
 intrinsics give no error by themselves: they give a surface that is fog. So depth of frame i is put into
 frame j, for pairs that are near in order: where both measured something, either they agree (within 3 %
 of the distance, or 3 cm), or one of them sees past the other. Surfaces hidden from one of them disagree
-rightly; but in a scan that is read rightly most depths agree, and under a wrong reading few do. What is
-round and turns about the origin agrees with the poses the other way round too, even better where frames are
-few; but under the right poses no frame sees past what another has measured.
+rightly; but in a scan that is read rightly most depths agree, and under a wrong reading fewer do: few where
+the frames are far apart, nearly as many where they are neighbours of a film. So other readings are tried: the
+poses the other way round, the axes of the other convention, depth of other units; and that one of them agrees
+clearly better says more than any share. What is round and turns about the origin agrees with the poses the
+other way round too, even better where frames are few; but under the right poses no frame sees past what
+another has measured. A camera that only turns agrees at every scale; wrong intrinsics are noticed only by
+what is seen past.
 """
 
 from __future__ import annotations
@@ -29,6 +33,9 @@ _ENOUGH = 200  # depths to compare; fewer say nothing
 _FEW = 0.3  # less than this share agreeing is worth a warning
 _BETTER = 0.1  # another reading has to agree by this much more to be named
 _PAST = 0.05  # poses are in doubt if more than this share is seen past; under wrong ones it is 10 to 40 %
+_THROUGH = 0.08  # so much seen past is worth a warning by itself; right readings of real scans have up to 5 %
+_FACTORS = (0.001, 0.1, 0.2, 0.25, 0.5, 2, 4, 5, 10, 1000)  # of the depth, as mixed-up units have them
+_SCALED, _CLEARED = 0.05, 0.02  # a factor is named if so much more agrees, and so much less is seen past
 _MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under another reading to be sure of it
 _CLOSE = 10 * _LEAST  # metres; nearer than that almost anything is within the least tolerance
 _FAR = 20  # times the typical depth: cameras this far apart are not of one scan
@@ -45,6 +52,10 @@ class Agreement:
         inverse: the share if the poses were meant the other way round.
         millimetres: the share if the translations were millimetres.
         past: share of the compared depths that the other frame sees past: it has measured what lies behind.
+        flipped: the share if the axes of the cameras were those of the other convention (y and z reversed).
+        factor: by what the depth would have to be multiplied for clearly more of it to agree; 1 where no
+            factor that was tried does so.
+        scaled: the share with the depth multiplied by it.
     """
 
     compared: int
@@ -52,6 +63,9 @@ class Agreement:
     inverse: float
     millimetres: float
     past: float
+    flipped: float = float("nan")
+    factor: float = 1.0
+    scaled: float = float("nan")
 
     def __str__(self) -> str:
         """Both figures, as a clause."""
@@ -72,13 +86,24 @@ def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
     to_world = np.tile(np.eye(4), (len(views), 1, 1))
     to_world[:, :3, :3] = views.R.swapaxes(1, 2)
     to_world[:, :3, 3] = views.centres
-    small = to_world.copy()
-    small[:, :3, 3] *= _MILLIMETRES
     compared, share, past = _share(views, to_world)
     flip = FLIP if axes is Axes.OPENGL else np.eye(4)
     _, inverse, _ = _share(views, np.linalg.inv(to_world @ flip) @ flip)
-    _, millimetres, _ = _share(views, small)
-    return Agreement(compared, share, inverse, millimetres, past)
+    _, millimetres, _ = _share(views, _with_translations(to_world, _MILLIMETRES))
+    _, flipped, _ = _share(views, to_world @ FLIP)
+    factor, scaled, lead = 1.0, share, share - past
+    for tried in _FACTORS:  # depth and translations are lengths: to divide the one is to multiply the other
+        n, more, less = _share(views, _with_translations(to_world, 1 / tried))
+        clearly = more > max(share + _SCALED, _SURE) and less < past - _CLEARED
+        if n >= _ENOUGH and clearly and more - less > lead:
+            factor, scaled, lead = tried, more, more - less
+    return Agreement(compared, share, inverse, millimetres, past, flipped, factor, scaled)
+
+
+def _with_translations(to_world: F64, factor: float) -> F64:
+    scaled = to_world.copy()
+    scaled[:, :3, 3] *= factor
+    return scaled
 
 
 def judge(found: Agreement, views: Views, where: object) -> list[str]:
@@ -104,12 +129,22 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     doubtful = found.compared < _ENOUGH or found.past > _PAST
     if doubtful and found.inverse >= _SURE and found.inverse > np.nan_to_num(found.share) + _BETTER:
         return [f"the poses may be meant the other way round: {found}"]
+    if doubtful and found.flipped >= _SURE and found.flipped > np.nan_to_num(found.share) + _BETTER:
+        return [f"the axes of the cameras may be those of another convention (OpenCV's, OpenGL's): {found}, "
+                f"{_percent(found.flipped)} with y and z reversed"]
+    if found.factor != 1:
+        return ["the scale of the depth or of the poses may be wrong: "
+                f"{_percent(found.share)} of the depths agree as read, {_percent(found.scaled)} "
+                f"if depth were {found.factor:g} times as large, or translations {1 / found.factor:g} times"]
     if found.compared < _ENOUGH:
         figures = f"{found.compared} depths could be compared; {found}" if found.compared else str(found)
         return [f"neighbouring frames hardly overlap ({figures}), so that nothing confirms the direction of "
                 "the poses and the scale of the depth"]
     if weak:
         return [f"the frames hardly agree with each other: {found}; check depth scale, intrinsics and poses"]
+    if found.past > _THROUGH:
+        return [f"the frames see through each other's surfaces at {_percent(found.past)} of the depths "
+                f"({found}); check depth scale, intrinsics and poses"]
     return []
 
 

@@ -107,13 +107,39 @@ def test_the_direction_is_named_only_where_the_other_one_agrees_well() -> None:
     for found, said in ((Agreement(5000, 0.4, 0.9, 0.0, 0.3), "other way round: 40 %"),
                         (Agreement(5000, 0.75, 0.99, 0.0, 0.1), "other way round: 75 %"),
                         (Agreement(5000, 0.4, 0.9, 0.0, 0.01), None),
-                        (Agreement(5000, 0.4, 0.55, 0.0, 0.3), None),
+                        (Agreement(5000, 0.4, 0.55, 0.0, 0.01), None),
+                        (Agreement(5000, 0.4, 0.55, 0.0, 0.3), "see through each other's surfaces at 30 %"),
                         (Agreement(5000, 0.1, 0.55, 0.0, 0.3), "hardly agree with each other: 10 %"),
                         (Agreement(0, float("nan"), 0.9, 0.0, float("nan")), "nothing can be compared"),
                         (Agreement(0, float("nan"), 0.5, 0.0, float("nan")), "hardly overlap"),
                         (Agreement(0, *[float("nan")] * 4), "overlap (there is nothing that two")):
         assert [said is not None and said in warning for warning in judge(found, views, "here")] == [
             True] * (said is not None)
+
+
+@pytest.mark.parametrize("factor", [0.2, 0.25, 0.5, 2, 4, 5])
+def test_depth_of_another_unit_is_noticed_and_the_factor_named(factor: float, scene) -> None:
+    right = Scan.from_arrays(scene.depth, K, scene.poses)
+    assert right.agreement.factor == 1 and right.agreement.scaled == right.agreement.share
+    wrong = Scan.from_arrays(scene.depth / np.float32(factor), K, scene.poses)
+    assert wrong.agreement.factor == factor and wrong.agreement.scaled > 0.9
+    (warning,) = wrong.warnings
+    assert f"if depth were {factor:g} times as large, or translations {1 / factor:g} times" in warning
+
+
+def test_axes_of_the_other_convention_are_noticed(scene) -> None:
+    (warning,) = Scan.from_arrays(scene.depth, K, scene.poses, axes="opengl").warnings
+    assert "axes of the cameras may be those of another convention" in warning
+    assert "with y and z reversed" in warning
+    right = Scan.from_arrays(scene.depth, K, scene.poses @ FLIP, axes="opengl")
+    assert right.warnings == () and right.agreement.flipped < 0.5
+
+
+def test_frames_that_see_through_each_other_are_noticed() -> None:
+    views = wall([(0, 0, 0)] * 2).views
+    assert judge(Agreement(5000, 0.9, 0.5, 0.0, 0.079), views, "here") == []
+    (warning,) = judge(Agreement(5000, 0.9, 0.5, 0.0, 0.081), views, "here")
+    assert "see through each other's surfaces at 8 % of the depths" in warning
 
 
 def test_depth_in_a_thousandth_of_its_unit_is_not_taken_for_poses_in_millimetres(scene) -> None:

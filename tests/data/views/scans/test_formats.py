@@ -269,7 +269,7 @@ def test_bad_wishes(write: Write, asked: dict[str, object], message: str) -> Non
 
 def test_a_wrong_depth_scale_is_warned_of(write: Write) -> None:
     (warning,) = read_scan(write("7scenes"), depth_scale=3000).warnings
-    assert "hardly agree" in warning and "depth scale" in warning
+    assert "the scale of the depth or of the poses may be wrong" in warning and "4 times as large" in warning
 
 
 def _as_npy(folder: Path, change: Callable[[np.ndarray], np.ndarray] = lambda depth: depth) -> None:
