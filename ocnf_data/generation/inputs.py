@@ -10,6 +10,7 @@ import numpy as np
 from ocnf_data.arrays import F32
 from ocnf_data.encodings import Encoding
 from ocnf_data.fusion import DepthPyramid, fuse, fuse_tsdf
+from ocnf_data.generation.procedural import is_configuration, is_scene
 from ocnf_data.generation.records import Stages
 from ocnf_data.manifest import Manifest, Target, Variant
 from ocnf_data.octree import GridOctree
@@ -18,6 +19,7 @@ from ocnf_data.octree.occupied import occupied
 from ocnf_data.shards.tarformat import input_member
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.noise import add_noise, view_noise
+from ocnf_data.views.normalisation import Normalisation
 from ocnf_data.views.sensor import SensorDraws, add_sensor_noise, sensor_draws
 
 
@@ -37,7 +39,17 @@ def fuse_input(manifest: Manifest, pyramid: DepthPyramid, encoding: Encoding, re
     return fuse(pyramid, encoding, resolution, manifest.normalise.extent, manifest.truncation(resolution))
 
 
-def observe(seen: Views, indices: Sequence[int], variant: Variant, noise: Noise) -> Views:
+def real_metres(variant: Variant, source: str, normalisation: Normalisation) -> float:
+    """How many real metres a metre of the cube stands for, in an input of an item with this source.
+
+    Scenes and scans have real sizes, which were scaled into the cube; what the size of a mesh means its
+    variant has to say.
+    """
+    has_size = is_configuration(source) or is_scene(source)
+    return variant.metres / normalisation.scale if has_size else variant.metres
+
+
+def observe(seen: Views, indices: Sequence[int], variant: Variant, noise: Noise, metres: float) -> Views:
     """The noisy views that an input is made of.
 
     Args:
@@ -45,10 +57,11 @@ def observe(seen: Views, indices: Sequence[int], variant: Variant, noise: Noise)
         indices: number of each of them among all views of the item, on which its noise depends.
         variant: the input.
         noise: noise of the item.
+        metres: of `real_metres`.
     """
     if variant.noise == "kinect":
         return seen.with_depth(np.stack([
-            add_sensor_noise(depth, K, noise.sensor(view), variant.strength, variant.metres)
+            add_sensor_noise(depth, K, noise.sensor(view), variant.strength, metres)
             for view, depth, K in zip(indices, seen.depth, seen.K, strict=True)]))
     if variant.sigma == 0:
         return seen
@@ -97,10 +110,11 @@ class SampleOctrees:
             self.members[name] = encode(octree, kind)
         self.leaf_counts[name] = octree.n_leaves
 
-    def add_inputs(self, variant: Variant, seen: Views, indices: Sequence[int], noise: Noise) -> None:
+    def add_inputs(self, variant: Variant, seen: Views, indices: Sequence[int], noise: Noise,
+                   metres: float) -> None:
         """Fuse an input in all its encodings at all resolutions; arguments as for `observe`."""
         with self._stages("noise"):
-            noisy = observe(seen, indices, variant, noise)
+            noisy = observe(seen, indices, variant, noise, metres)
         with self._stages("pyramid"):
             pyramid = DepthPyramid(noisy)
         for encoding in variant.encodings:
@@ -110,8 +124,8 @@ class SampleOctrees:
                 self.add(input_member(variant.name, encoding, resolution), octree, encoding)
 
 
-def noise_facts(variant: Variant) -> dict[str, Any]:
-    """What a sample's facts say of an input's noise."""
+def noise_facts(variant: Variant, metres: float) -> dict[str, Any]:
+    """What a sample's facts say of an input's noise; `metres` of `real_metres`."""
     if variant.noise == "park":
         return {"sigma": variant.sigma}
-    return {"noise": variant.noise, "strength": variant.strength, "metres": variant.metres}
+    return {"noise": variant.noise, "strength": variant.strength, "metres": metres}

@@ -22,6 +22,11 @@ def is_procedural(source: str) -> bool:
     return _PROCEDURAL.fullmatch(source) is not None
 
 
+def is_scene(source: str) -> bool:
+    """Whether a source is the name of a scene."""
+    return is_procedural(source) and source.startswith(_SCENES)
+
+
 def make_procedural(category: str, seed: int, index: int, split: str) -> Mesh:
     """The shape or the scene."""
     return (make_scene if category in SCENES else make_shape)(category, seed, index, split)

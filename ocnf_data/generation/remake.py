@@ -18,7 +18,7 @@ from ocnf_data.generation.procedural import is_procedural
 from ocnf_data.generation.records import Item
 from ocnf_data.generation.sample import read_item, render_item
 from ocnf_data.generation.sequences import placed_frames
-from ocnf_data.manifest import Manifest
+from ocnf_data.manifest import Manifest, Variant
 from ocnf_data.manifest.sequence import SequenceSource
 from ocnf_data.meshes import Mesh, normalise
 from ocnf_data.meshes.topology import mesh_stats
@@ -66,7 +66,7 @@ def remake(
         raise OcnfError("not the mesh that the sample was made of", code="changed", where=item.source,
                         found=f"sha256 {mesh.sha256}", expected=item.sha256)
     vertices, _ = normalise(mesh, manifest.normalise.extent, manifest.normalise.padding)
-    return _see(manifest, item.key, mesh, vertices)
+    return _see(manifest, facts, mesh, vertices)
 
 
 def remake_from_surface(manifest: Manifest, facts: Mapping[str, Any], vertices: F64, faces: I64) -> Remade:
@@ -84,16 +84,18 @@ def remake_from_surface(manifest: Manifest, facts: Mapping[str, Any], vertices: 
     if isinstance(manifest.source, SequenceSource):
         raise _no_scans(facts)
     mesh = Mesh(vertices, faces, "", mesh_stats(vertices, faces))
-    return _see(manifest, facts["key"], mesh, vertices)
+    return _see(manifest, facts, mesh, vertices)
 
 
-def _see(manifest: Manifest, key: str, mesh: Mesh, vertices: F64) -> Remade:
+def _see(manifest: Manifest, facts: Mapping[str, Any], mesh: Mesh, vertices: F64) -> Remade:
+    key = facts["key"]
     views = render_item(manifest, vertices, mesh, key=key)
     noise = Noise(manifest.seed, key, views.size)
     observed = {}
     for variant in manifest.inputs:
         indices = manifest.view_indices(variant)
-        observed[variant.name] = observe(views.subset(indices), indices, variant, noise)
+        observed[variant.name] = observe(views.subset(indices), indices, variant, noise,
+                                         _metres(facts, variant))
     return Remade(mesh, vertices, views, observed)
 
 
@@ -110,11 +112,17 @@ def _remake_frames(manifest: Manifest, source: SequenceSource, facts: Mapping[st
     observed = {}
     for variant in manifest.inputs:
         indices = facts["inputs"][variant.name]["views"]
-        observed[variant.name] = observe(views.subset(indices), indices, variant, noise)
+        observed[variant.name] = observe(views.subset(indices), indices, variant, noise,
+                                         _metres(facts, variant))
     finest, extent = manifest.resolutions[-1], manifest.normalise.extent
     vertices, faces = known_surface(fuse_tsdf(views, finest, extent, manifest.truncation(finest)), extent)
     mesh = Mesh(normalisation.invert(vertices), faces, item.sha256 or "", mesh_stats(vertices, faces))
     return Remade(mesh, vertices, views, observed)
+
+
+def _metres(facts: Mapping[str, Any], variant: Variant) -> float:
+    """What the noise of an input was made with: samples of before may not say what `real_metres` would."""
+    return float(facts["inputs"][variant.name].get("metres", variant.metres))
 
 
 def _no_scans(facts: Mapping[str, Any]) -> OcnfError:

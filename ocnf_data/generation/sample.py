@@ -18,7 +18,7 @@ from ocnf_data.errors import OcnfError, printable
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.generation.fingerprint import view_fingerprint
-from ocnf_data.generation.inputs import Noise, SampleOctrees, fuse_truth, noise_facts
+from ocnf_data.generation.inputs import Noise, SampleOctrees, fuse_truth, noise_facts, real_metres
 from ocnf_data.generation.procedural import make_procedural
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.generation.sequences import make_sequence_sample
@@ -95,7 +95,8 @@ def make_sample(
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
         indices = manifest.view_indices(variant)
-        octrees.add_inputs(variant, views.subset(indices), indices, noise)
+        octrees.add_inputs(variant, views.subset(indices), indices, noise,
+                           real_metres(variant, item.source, normalisation))
     facts = _sample_facts(manifest, item, mesh, normalisation, float(hit.mean()), octrees.leaf_counts)
     return Sample(item.key, {JSON: canonical_json(facts), **octrees.members}, stages.seconds)
 
@@ -199,7 +200,8 @@ def _sample_facts(manifest: Manifest, item: Item, mesh: Mesh, normalisation: Nor
         "seed": manifest.seed,
         "target": str(manifest.target),
         "truncation": {str(res): manifest.truncation(res) for res in manifest.resolutions},
-        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)), **noise_facts(variant)}
+        "inputs": {variant.name: {"views": list(manifest.view_indices(variant)),
+                                  **noise_facts(variant, real_metres(variant, item.source, normalisation))}
                    for variant in manifest.inputs},
         "leaf_counts": leaf_counts,
     }

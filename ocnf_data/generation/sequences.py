@@ -26,7 +26,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.generation.fingerprint import view_fingerprint
-from ocnf_data.generation.inputs import Noise, SampleOctrees, as_target, fuse_input, noise_facts
+from ocnf_data.generation.inputs import Noise, SampleOctrees, as_target, fuse_input, noise_facts, real_metres
 from ocnf_data.generation.procedural import scan_of_configuration
 from ocnf_data.generation.records import Item, Sample, Stages
 from ocnf_data.manifest import Manifest
@@ -111,11 +111,14 @@ def _make(manifest: Manifest, source: SequenceSource, item: Item, root: Path, ke
     noise = Noise(manifest.seed, item.key, views.size)
     for variant in manifest.inputs:
         first = indices[:variant.views]
-        octrees.add_inputs(variant, views.subset(range(len(first))), first, noise)
+        octrees.add_inputs(variant, views.subset(range(len(first))), first, noise,
+                           real_metres(variant, item.source, reference.normalisation))
     facts = {**_item_facts(manifest, item), **reference.facts, "leaf_counts": octrees.leaf_counts,
              "inputs": {variant.name: {"views": list(indices[:variant.views]),
                                        "frames": [sequence.names[i] for i in indices[:variant.views]],
-                                       **noise_facts(variant)} for variant in manifest.inputs}}
+                                       **noise_facts(variant, real_metres(variant, item.source,
+                                                                          reference.normalisation))}
+                        for variant in manifest.inputs}}
     return Sample(item.key, {JSON: canonical_json(facts), **octrees.members}, stages.seconds)
 
 

@@ -29,7 +29,8 @@ class Variant(Strict):
     strength: Annotated[Real, Field(ge=0, le=10)] = 1.0
     """Strength of the noise of `kinect`: 0 is none, 1 that of a Kinect."""
     metres: Annotated[Real, Field(gt=0, le=1000)] = 1.0
-    """How many real metres a metre of the grid stands for, in the noise of `kinect`."""
+    """How many real metres a metre of the grid stands for, in the noise of `kinect`; of scenes
+    and scans, which have real sizes, a metre of theirs."""
     encodings: Annotated[tuple[Encoding, ...], NotEmpty]
     """How the views are written into octrees, each encoding at most once."""
 

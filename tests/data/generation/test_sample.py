@@ -14,6 +14,7 @@ from ocnf_data.fusion import fuse_histogram, fuse_tsdf
 from ocnf_data.generation import generate
 from ocnf_data.generation.plan import make_plan
 from ocnf_data.generation.records import Item, Sample
+from ocnf_data.generation.remake import remake
 from ocnf_data.generation.sample import make_sample, render_item
 from ocnf_data.manifest import Manifest
 from ocnf_data.meshes import normalise, read_mesh
@@ -101,6 +102,32 @@ def test_a_sensor_in_place_of_parks_noise(meshes, define) -> None:
     stored = decode(sample.members["k2-tsdf-64.oct"])
     np.testing.assert_array_equal(stored.trees, expected.trees)
     np.testing.assert_allclose(stored.data, expected.data, atol=1 / 200)
+
+
+def test_a_sensor_sees_a_scene_at_its_own_size(define) -> None:
+    """A tabletop magnified into the cube has the noise of a tabletop; what `remake` makes is the same."""
+    sensor = {"name": "k2", "views": 2, "noise": "kinect", "encodings": ["tsdf"]}
+    manifest = define(inputs=[sensor], source={
+        "kind": "scenes", "categories": {"train": ["tabletops"], "val": [], "test": ["rooms"]},
+        "counts": {"train": 1, "val": 0, "test": 1}})
+    scales = []
+    for item in make_plan(manifest, None).items:
+        sample = make_sample(manifest, item, None)
+        facts = json.loads(sample.members["json"])
+        scales.append(facts["normalisation"]["scale"])
+        metres = facts["inputs"]["k2"]["metres"]
+        assert metres == 1 / scales[-1]
+        remade = remake(manifest, facts)
+        depth = [add_sensor_noise(remade.views.depth[i], remade.views.K[i],
+                                  sensor_draws(0, item.key, i, remade.views.size), 1.0, metres)
+                 for i in (0, 7)]
+        np.testing.assert_array_equal(remade.observed["k2"].depth, depth)
+        expected = fuse_tsdf(remade.observed["k2"], 64, 3.0, manifest.truncation(64))
+        stored = decode(sample.members["k2-tsdf-64.oct"])
+        np.testing.assert_array_equal(stored.trees, expected.trees)
+        facts["inputs"]["k2"]["metres"] = 1.0  # of a data set of before
+        assert not np.array_equal(remake(manifest, facts).observed["k2"].depth, depth)
+    assert min(scales) < 1 < max(scales)
 
 
 def test_the_same_views_carry_the_same_noise_in_every_subset(meshes, define) -> None:
