@@ -40,8 +40,10 @@ TARGET_ERROR, INPUT_ERROR = 5e-4, 1 / 255  # what storing may change, in units o
 ROUNDING = 1e-6  # of float32 against float64
 TIE = 1e-6  # pixels
 NEAR_SURFACE = 0.75  # voxels, median of the distances
+_HELD = 0.05  # share of the seen points that has to be thicker to be judged: fewer are ends and joints
 _CELLS = 8  # along a voxel: what frames have measured is told apart by as much
 ON_SURFACE = 0.9  # share of seen mesh points within 1.5 voxels of a zero crossing
+THIN = 2.0  # voxels: about as far as a TSDF reaches, so that both sides of something thinner cancel
 
 
 @dataclass(frozen=True)
@@ -135,19 +137,32 @@ def check_range(octree: GridOctree, encoding: Encoding) -> tuple[str, bool]:
 
 
 def check_surface(octree: GridOctree, views: Views, encoding: Encoding, extent: float) -> tuple[str, bool]:
-    """Distances between the zero crossings and the points that the clean views see, in voxels."""
+    """Distances between the zero crossings and the points that the clean views see, in voxels.
+
+    What is thinner than the grid can hold, so that some view sees free space `THIN` voxels behind a point,
+    may have no crossing: it is not asked for.
+    """
     from scipy.spatial import cKDTree
 
     voxel = extent / octree.shape[0]
     vertices, _ = octree_surface(signed(octree, encoding), extent)
     if len(vertices) == 0:
         return "no zero crossing", False
-    seen = np.concatenate(list(_seen_points(views)))
-    to_mesh = cKDTree(seen).query(vertices, workers=-1)[0] / voxel
-    some = seen[np.random.default_rng(0).integers(0, len(seen), 20_000)]
-    to_surface = cKDTree(vertices).query(some, workers=-1)[0] / voxel
-    median, share = float(np.median(to_mesh)), float((to_surface < 1.5).mean())
-    text = f"median {median:.2f} voxels off the mesh; {share:.1%} of its seen points within 1.5 of a crossing"
+    by_view = list(_seen_points(views))
+    seen = np.concatenate(by_view)
+    view = np.repeat(np.arange(len(views)), [len(points) for points in by_view])
+    median = float(np.median(cKDTree(seen).query(vertices, workers=-1)[0])) / voxel
+    some = np.random.default_rng(0).integers(0, len(seen), 20_000)
+    points, rays = seen[some], seen[some] - views.centres[view[some]]
+    behind = points + THIN * voxel * rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    held = points[~(distances(views, behind)[0] > 0).any(axis=0)]
+    text = f"median {median:.2f} voxels off the mesh"
+    if len(held) < _HELD * len(points):
+        return f"{text}; nearly all of it is thin", median < NEAR_SURFACE
+    share = float((cKDTree(vertices).query(held, workers=-1)[0] < 1.5 * voxel).mean())
+    text += f"; {share:.1%} of its seen points within 1.5 of a crossing"
+    if len(held) < len(points):
+        text += f", {1 - len(held) / len(points):.1%} of them left out as thin"
     return text, median < NEAR_SURFACE and share > ON_SURFACE
 
 
