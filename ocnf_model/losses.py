@@ -6,6 +6,7 @@ the prediction's leaves against the target's leaf means would flatter a coarse p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -64,6 +65,10 @@ class Pair:
         if weights.channels != 1:
             raise OcnfError("not one weight a voxel", field="weights", found=f"{weights.channels} channels",
                             expected=1)
+        self.structure.check_same_grid(weights.structure, "weights")
+        if self.structure.union(weights.structure) is not self.structure:
+            raise OcnfError("finer somewhere than prediction and target", field="weights",
+                            found=weights.structure.describe(), expected="none of their cells divided")
         return costs * weights.refined(self.structure).features.to(costs.dtype)  # (L, C) * (L, 1)
 
     def sum_over_voxels(self, costs: Tensor) -> Tensor:
@@ -83,6 +88,9 @@ def l1_loss(prediction: OctreeBatch, target: OctreeBatch, reduction: str = Reduc
         wrong_sign: weight of a voxel that is taken for free but is occupied, or the other way round.
         weights: (L, 1) what else the voxels' differences are multiplied by, of the same grids, nowhere finer
             than both the prediction and the target; None: 1.
+
+    Raises:
+        OcnfError: they do not fit each other, or `wrong_sign` or `reduction` are none.
     """
     pair = Pair.of(prediction, target)
     return _reduce(pair, _costs(pair, wrong_sign, weights), reduction)
@@ -104,6 +112,8 @@ def truncated_l1_loss(prediction: OctreeBatch, target: OctreeBatch,
 def _costs(pair: Pair, wrong_sign: float, weights: OctreeBatch | None) -> Tensor:
     """(L, C) absolute differences, weighed; occupied is TSDF < 0 (SEMANTICS 2)."""
     costs = pair.weighed((pair.prediction - pair.target).abs(), weights)
+    if not 0 <= wrong_sign < math.inf:
+        raise OcnfError("not a weight", field="wrong_sign", found=wrong_sign, expected="0 or more")
     if wrong_sign == 1:
         return costs
     return torch.where((pair.prediction < 0) == (pair.target < 0), costs, wrong_sign * costs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -76,15 +77,20 @@ class OctNetFusion(nn.Module):
         self.encoding = choice(Encoding, "encoding", encoding)
         self.join, self.carry = choice(Join, "join", join), choice(Carry, "carry", carry)
         self.output = choice(Output, "output", output)
-        if levels < 1:
-            raise OcnfError("too few levels", where="OctNetFusion", field="levels", found=levels,
-                            expected="at least 1")
+        for field, number, least in (("levels", levels, 1), ("context", context, 0), ("finer", finer, 0),
+                                     ("extra_channels", extra_channels, 0)):
+            if not isinstance(number, int) or isinstance(number, bool) or number < least:
+                raise OcnfError("out of range", where="OctNetFusion", field=field, found=number,
+                                expected=f"a whole number, at least {least}")
+        if not (isinstance(band, float | int) and 0 <= band < math.inf):
+            raise OcnfError("out of range", where="OctNetFusion", field="band", found=band,
+                            expected="0 or more")
         self.channels = _widths("channels", channels)
-        self.level_channels = None if level_channels is None else tuple(
-            _widths("level_channels", channels) for channels in level_channels)
-        if self.level_channels == ():
+        if level_channels is not None and not (isinstance(level_channels, Sequence) and level_channels):
             raise OcnfError("no channels", where="OctNetFusion", field="level_channels", found=level_channels,
                             expected="three positive numbers for at least one level")
+        self.level_channels = None if level_channels is None else tuple(
+            _widths("level_channels", channels) for channels in level_channels)
         self.band, self.context, self.residual = band, context, residual
         self.normalise = choice(Normaliser, "normalise", normalise)
         self.precision = Precision.FLOAT32
@@ -133,10 +139,18 @@ class OctNetFusion(nn.Module):
             frozen: levels before this one run without gradients: to train level l (from 0) alone, pass
                 `frozen=l` and `levels=l + 1` and take the last output.
             levels: how many levels run; None: one for each input, all at most.
+
+        Raises:
+            OcnfError: the inputs do not fit the network or each other, or there are not so many levels or
+                inputs.
         """
         self._check(inputs)
+        most = min(len(inputs), len(self.levels))
+        if levels is not None and not 0 < levels <= most:
+            raise OcnfError("no such number of levels", where="OctNetFusion", field="levels", found=levels,
+                            expected=f"1 to {most}, as there are levels and inputs")
         outputs: list[LevelOutput] = []
-        for level in range(min(len(inputs), len(self.levels)) if levels is None else levels):
+        for level in range(most if levels is None else levels):
             with torch.set_grad_enabled(torch.is_grad_enabled() and level >= frozen):
                 x = self.level_input(outputs[-1] if outputs else None, inputs, level)
                 outputs.append(self.levels[level](x))
@@ -210,6 +224,9 @@ class OctNetFusion(nn.Module):
 
     def _check(self, inputs: Sequence[OctreeBatch]) -> None:
         most = self.needs(len(self.levels))
+        if not isinstance(inputs, Sequence) or not all(isinstance(one, OctreeBatch) for one in inputs):
+            raise OcnfError("not a sequence of octrees", where="OctNetFusion", field="inputs",
+                            found=type(inputs).__name__, expected=f"1 to {most} OctreeBatch, coarse to fine")
         if not 0 < len(inputs) <= most:
             raise OcnfError("a wrong number of inputs", where="OctNetFusion", field="inputs",
                             found=len(inputs), expected=f"1 to {most}, coarse to fine")

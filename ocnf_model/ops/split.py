@@ -36,7 +36,7 @@ def split_surface(
     if reconstruction.channels != 1:
         raise OcnfError("a reconstruction has one channel", where="split_surface", field="reconstruction",
                         found=reconstruction.channels, expected=1)
-    if not 0 <= band < math.inf:
+    if not (isinstance(band, float | int) and 0 <= band < math.inf):
         raise OcnfError("not a band", where="split_surface", field="band", found=band, expected="0 or more")
     features.structure.check_same_grid(reconstruction.structure, "split_surface")
     structure = surface_structure(features.structure, reconstruction, math.ceil(band / 2), threshold)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.octree import GridOctree
 from ocnf_data.octree.occupied import occupied
 from ocnf_model import OctreeBatch, split_surface
 from ocnf_model.evaluation.measure import Field
@@ -231,3 +232,10 @@ def test_there_is_one_weight_a_voxel(loss, make_batch) -> None:
                            for i, channels in enumerate((1, 10)))
     with pytest.raises(OcnfError, match="weights: not one weight a voxel; found 10 channels"):
         loss(prediction, prediction, weights=weights)
+    coarse = OctreeBatch(Structure.full(1, (8, 8, 8)), torch.ones(512, 1).double())
+    undivided = OctreeBatch.from_grids([GridOctree.from_dense(np.zeros((1, 8, 8, 8), np.float32))]).to(dtype=torch.float64)
+    with pytest.raises(OcnfError, match="weights: finer somewhere than prediction and target"):
+        loss(undivided, undivided, weights=coarse)
+    for wrong_sign in (-5, float("nan")):
+        with pytest.raises(OcnfError, match="wrong_sign: not a weight"):
+            loss(undivided, undivided, wrong_sign=wrong_sign)

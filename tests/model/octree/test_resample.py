@@ -111,3 +111,10 @@ def test_equal_structures_concatenate_without_a_copy_of_the_structure(make_batch
 def test_what_does_not_fit_is_refused(call, message, make_batch) -> None:
     with pytest.raises(OcnfError, match=message):
         call(make_batch)
+
+
+def test_a_guide_of_another_size_is_refused(make_batch) -> None:
+    x = make_batch(0, (2, 2, 2))
+    for guide in (x, x.structure, make_batch(0, (4, 4, 2)), "x"):
+        with pytest.raises(OcnfError, match="guide: sizes do not fit"):
+            grid_unpool(x, guide=guide)
