@@ -233,7 +233,8 @@ def test_there_is_one_weight_a_voxel(loss, make_batch) -> None:
     with pytest.raises(OcnfError, match="weights: not one weight a voxel; found 10 channels"):
         loss(prediction, prediction, weights=weights)
     coarse = OctreeBatch(Structure.full(1, (8, 8, 8)), torch.ones(512, 1).double())
-    undivided = OctreeBatch.from_grids([GridOctree.from_dense(np.zeros((1, 8, 8, 8), np.float32))]).to(dtype=torch.float64)
+    undivided = OctreeBatch.from_grids([GridOctree.from_dense(np.zeros((1, 8, 8, 8), np.float32))])
+    undivided = undivided.to(dtype=torch.float64)
     with pytest.raises(OcnfError, match="weights: finer somewhere than prediction and target"):
         loss(undivided, undivided, weights=coarse)
     for wrong_sign in (-5, float("nan")):
