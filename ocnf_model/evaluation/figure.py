@@ -17,11 +17,22 @@ _PIXELS = 420
 
 
 def caption(row: Row) -> str:
-    """What stands below a reconstruction: its errors."""
-    surface = row.surface
-    parts = [(row.mad_mm, f"MAD {row.mad_mm:.2f} mm"), (surface.f_score, f"F {surface.f_score:.2f}"),
-             (surface.chamfer_voxels, f"Chamfer {surface.chamfer_voxels:.2f} voxels")]
-    return ", ".join(text for value, text in parts if not math.isnan(value))
+    """What stands below a reconstruction: its error where views have looked and where not, and its surface's.
+
+    `thin` is the recall of what is thinner than 1.5 voxels. What is not known is left out.
+    """
+    surface, regions = row.surface, row.regions
+    seen = regions.seen_free + regions.seen_band + regions.seen_inside
+    unseen = regions.unseen_free + regions.unseen_band + regions.unseen_inside
+    lines = (
+        ((row.mad_mm, f"MAD {row.mad_mm:.2f} mm"), (seen, f"seen {seen:.2f}"),
+         (unseen, f"unseen {unseen:.2f}")),
+        ((surface.f_score, f"F {surface.f_score:.2f}"),
+         (surface.chamfer_voxels, f"Chamfer {surface.chamfer_voxels:.2f} voxels"),
+         (surface.normal_consistency, f"normals {surface.normal_consistency:.2f}"),
+         (surface.recall_thin, f"thin {surface.recall_thin:.2f}")))
+    texts = (", ".join(text for value, text in line if not math.isnan(value)) for line in lines)
+    return "\n".join(text for text in texts if text)
 
 
 def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up: str = "z",
@@ -33,7 +44,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
             they are met; `TRUTH` comes last. What is missing leaves its place empty.
         title: title of the figure.
         up: the axis that points up, y or z.
-        captions: a line below each surface, by (resolution, method); None for none.
+        captions: what stands below each surface, by (resolution, method); None for none.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -45,7 +56,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
     frame = surfaces[resolutions[-1], TRUTH][0]
     if not len(frame):
         frame = np.array([[-1.5] * 3, [1.5] * 3])
-    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, (_INCHES + 0.15) * len(resolutions) + 0.6),
+    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, (_INCHES + 0.25) * len(resolutions) + 0.6),
                     dpi=150, layout="constrained")
     axes = figure.subplots(len(resolutions), len(methods), squeeze=False)
     for row, resolution in enumerate(resolutions):

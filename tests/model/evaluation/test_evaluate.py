@@ -8,6 +8,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -23,12 +24,14 @@ from ocnf_data.octree import GridOctree
 from ocnf_model import OctNetFusion, OctreeBatch, load_network
 from ocnf_model.baselines import tvl1
 from ocnf_model.cli import app
-from ocnf_model.evaluation.figure import draw_surfaces
+from ocnf_model.evaluation.figure import caption, draw_surfaces
 from ocnf_model.evaluation.measure import TRUTH, Row
 from ocnf_model.evaluation.methods import default_weight
 from ocnf_model.evaluation.run import Evaluation, evaluate, run_choose_weight, run_evaluate
 from ocnf_model.evaluation.summary import Summary, summarise
 from ocnf_model.evaluation.tables import markdown
+from ocnf_model.measures.figures import SurfaceFigures
+from ocnf_model.measures.regions import Regions
 
 RESOLUTIONS = (32, 64)
 
@@ -282,3 +285,15 @@ def test_the_table_by_category_has_one_measure(tmp_path: Path) -> None:
         table = text.split("by category\n\n")[1].split("\n\n")[0].splitlines()
         assert [cell.strip() for cell in table[-1].strip("|").split("|")][1:] == shown
         assert ("MAD in mm by category" in text) == (known is figures)
+
+
+def test_a_caption_has_what_is_known_of_error_and_surface() -> None:
+    row = Row("k", "chair", "v4", 64, "Ours", 1.5, 0.8, 0.9, 0.9, 0.1, 10,
+              regions=Regions(0.25, 0.5, 0.125, 0.25, 0.25, 0.125),
+              surface=SurfaceFigures(0.5, 20.0, 0.75, 0.8, 0.7, 0.9, math.nan, 0.6, 0.7))
+    assert caption(row) == ("MAD 1.50 mm, seen 0.88, unseen 0.62\n"
+                            "F 0.75, Chamfer 0.50 voxels, normals 0.90")
+    thin = replace(row.surface, recall_thin=0.4)
+    assert caption(replace(row, surface=thin)).endswith("normals 0.90, thin 0.40")
+    assert caption(replace(row, regions=Regions(), surface=SurfaceFigures())) == "MAD 1.50 mm"
+    assert caption(replace(row, mad_mm=math.nan, regions=Regions(), surface=SurfaceFigures())) == ""
