@@ -1,4 +1,4 @@
-"""`ocnf-model complete`: train, evaluate, and the baselines alone."""
+"""`ocnf-model complete`: a frame of one's own, train, evaluate, and the baselines alone."""
 
 from __future__ import annotations
 
@@ -24,6 +24,29 @@ _Split = Annotated[str, typer.Option(help="The split to measure on: test or trai
 _Forest = Annotated[bool, typer.Option(
     "--forest/--no-forest", help="Fit the structured forest too, which takes some minutes.")]
 _Figures = Annotated[int, typer.Option(min=0, help="Number of frames to draw.")]
+
+
+@complete_app.command("frame")
+@stoppable(_err, "nothing was written, and the same command starts again")
+def complete_frame_command(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, or `pretrained`.")],
+    scan: Annotated[str, typer.Argument(metavar="SCAN", help="Depth with poses, in any format that "
+                                                             "`ocnf-model fuse` reads.")],
+    out: Annotated[Path, typer.Option(
+        metavar="FILE", help="A mesh (.ply, .obj, .glb, .off, .stl), or .npz: the probabilities, and where "
+                             "their grid lies.")],
+    frame: Annotated[str | None, typer.Option(
+        metavar="NAME", help="The frame: its name, or its number from 0; the first if not given.")] = None,
+    device: _Device = "auto",
+) -> None:
+    """Complete what stands on a table, from one depth map of your own.
+
+    The table is the largest plane that the camera looks down on, and the things are those in the middle of
+    the picture, at most 39 cm tall. They are written whole, in the scan's coordinates.
+    """
+    from ocnf_model.completion.single import run_complete_frame
+
+    run_complete_frame(run, scan, out, frame=frame, device=device, console=_out)
 
 
 @complete_app.command("train")

@@ -6,6 +6,7 @@ import os
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
@@ -13,6 +14,9 @@ from ocnf_model.checkpoint import open_run
 from ocnf_model.completion import evaluate
 from ocnf_model.completion.predict import CompletionNetwork, read_threshold
 from ocnf_model.completion.scores import Scores
+from ocnf_model.completion.single import complete_view
+from ocnf_model.completion.table import VOXEL
+from ocnf_model.completion.visible import Visible
 
 FOLDER = Path(str(files("ocnf_model"))) / "pretrained" / "completion"
 DATA = Path(os.environ.get("OCNF_DATA", "")) / "voxlets"
@@ -48,3 +52,23 @@ def test_better_than_the_baselines_on_the_test_scenes(tmp_path: Path,
              for method in {row.method for row in rows}}
     ours = means.pop("ours")
     assert ours.iou >= 0.6 > max(mean.iou for mean in means.values())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("OCNF_DATA" not in os.environ or not DATA.is_dir(),
+                    reason="OCNF_DATA names no folder with voxlets/")
+def test_as_good_where_it_has_to_find_the_table_itself() -> None:
+    """On every second test frame: the scene's volume is in the world of its frames, which is not told."""
+    network, found = CompletionNetwork("pretrained", "cpu"), []
+    for frame in evaluate.list_frames(str(DATA), "test")[::2]:
+        scene = frame.read()
+        completed = complete_view(network, scene.view, frame.name)
+        at = (np.indices(scene.shape)[::-1].reshape(3, -1).T + 0.5) * scene.voxel
+        placed = at @ completed.grid.to_grid[:3, :3].T + completed.grid.to_grid[:3, 3]
+        cells = np.floor(placed / VOXEL).astype(int)[:, ::-1]
+        within = ((cells >= 0) & (cells < completed.grid.shape)).all(axis=1)
+        occupied = np.zeros(len(at), bool)
+        occupied[within] = completed.occupied[tuple(cells[within].T)]
+        judged = Visible.of(scene.view, scene.shape, scene.voxel).judged
+        found.append(Scores.of(scene.occupied, occupied.reshape(scene.shape), judged))
+    assert Scores.mean(found).iou >= 0.57
