@@ -175,9 +175,8 @@ def _read(place: str, asked: Asked, stages: StageLog) -> Scan:
         agree = "" if scan.agreement is None or len(scan.views) < 2 else f", {scan.agreement}"
         number = "1 frame" if len(scan.views) == 1 else f"{len(scan.views)} frames"
         stage.say(f"{number} of {width}x{height} ({scan.format}){agree}")
-    for note in (*scan.notes, *scan.warnings):  # before anything fails for the reason that they give
-        if stages.console is not None:
-            stages.console.print(f"Note: {note}", highlight=False, markup=False, soft_wrap=True)
+    stages.note(scan.notes)
+    stages.note(scan.warnings, "Warning")  # before anything fails for the reason that they give
     return scan
 
 

@@ -40,7 +40,7 @@ SCAN_FORMATS: dict[str, ScanFormat] = {
 def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | int | None = None,
               format: str | None = None, depth_scale: float | None = None,
               intrinsics: Sequence[float] | None = None, poses: str | None = None, pose_scale: float = 1.0,
-              crop: Sequence[int] = (0, 0, 0, 0),
+              crop: Sequence[int] = (0, 0, 0, 0), colour: bool = True,
               report: Callable[[int, int], None] | None = None) -> Scan:
     """Read a scan of any format that is known here.
 
@@ -55,6 +55,7 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         poses: `camera-to-world` or `world-to-camera`, in place of the format's.
         pose_scale: length in metres of a unit of the poses' translations.
         crop: pixels along (left, top, right, bottom) of the depth maps that are not used.
+        colour: whether the colour images are looked for.
         report: told (frames read, frames in all) after each frame.
 
     Raises:
@@ -68,7 +69,7 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         _refuse(said, text)
         return read_kept_views(text, frames, every)
     listing, name = list_scan(text, format, intrinsics is not None)
-    return load(listing, text, name, frames, every, said, report)
+    return load(listing, text, name, frames, every, said, report, colour)
 
 
 def list_scan(folder: str | os.PathLike[str], format: str | None = None,

@@ -89,6 +89,7 @@ class Listing:
         cube: (centre, side) in metres of the space that the scan is about, where the format says.
         notes: a sentence for each thing left out or assumed.
         intrinsics: what to do where K is None.
+        colour: a sentence on the colour images, for a scan that has some.
     """
 
     frames: tuple[Frame, ...]
@@ -98,6 +99,7 @@ class Listing:
     cube: tuple[tuple[float, float, float], float] | None = None
     notes: tuple[str, ...] = ()
     intrinsics: str = "give them as FX,FY,CX,CY"
+    colour: str | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole
 from ocnf_data.views.scans.poses import to_camera
 from ocnf_data.views.scans.scan import Colour, Scan, to_metres
 from ocnf_data.views.scans.selection import choose
+from ocnf_data.views.scans.vertex_colour import colour_notes
 
 _MAX_FRAMES = 20_000
 _THREADS = 8  # decoding lets go of the interpreter's lock
@@ -27,7 +28,8 @@ _MAX_BYTES = 2**34  # of depth as float32: 14,000 frames at 640x480
 
 
 def load(listing: Listing, where: object, format_name: str, frames: str | int | None = None, every: int = 1,
-         said: Said | None = None, report: Callable[[int, int], None] | None = None) -> Scan:
+         said: Said | None = None, report: Callable[[int, int], None] | None = None,
+         colour: bool = True) -> Scan:
     """The scan.
 
     Frames whose pose is not finite (the tracking was lost) are left out, by name, before frames are chosen.
@@ -40,6 +42,7 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
         every: take every n-th of these only.
         said: what the user says in place of the format's definition.
         report: told (frames read, frames in all) after each frame.
+        colour: whether the colour images are looked for.
 
     Raises:
         OcnfError: no frame that can be used, a pose that is not rigid, a depth map that is damaged or of
@@ -58,9 +61,9 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     views = Views(depth, K, R, T)
     found = agreement(views, listing.axes)
     warnings = tuple(judge(found, views, where))
-    colour, lacking = _colour(chosen, views)
+    coloured, lacking = _colour(chosen, views, listing.colour) if colour else (None, [])
     return Scan(views, tuple(frame.name for frame in chosen), listing.cube, (*listing.notes, *lacking),
-                colour, format_name, found, warnings)
+                coloured, format_name, found, warnings)
 
 
 def posed(listing: Listing, where: object) -> Listing:
@@ -129,10 +132,10 @@ def _crop(depth: F32, crop: tuple[int, int, int, int], where: object) -> F32:
     return depth
 
 
-def _colour(frames: Sequence[Frame], views: Views) -> tuple[Colour | None, list[str]]:
-    """The colour images, and a note where some that the scan names cannot be used: depth needs none."""
+def _colour(frames: Sequence[Frame], views: Views, known: str | None) -> tuple[Colour | None, list[str]]:
+    """The colour images, and notes: what is known of them, and which the scan names but cannot be used."""
     images: list[Path | None] = []
-    matrices, reasons = [], []
+    matrices, faults = [], []
     for frame, K in zip(frames, views.K, strict=True):
         image, own = frame.colour, frame.K_colour
         if image is not None:
@@ -143,10 +146,11 @@ def _colour(frames: Sequence[Frame], views: Views) -> tuple[Colour | None, list[
                                     found="{1}x{0}".format(*size), expected="{1}x{0}".format(*views.size))
                 own = resized(K, views.size, size) if own is None else own
             except OcnfError as error:
-                reasons.append(str(error))
+                faults.append(error)
                 image = None
         images.append(image)
         matrices.append(K if own is None else own)
-    notes = [f"{len(reasons)} of {len(frames)} frames are without their colour ({reasons[0]})"
-             ] if reasons else []
-    return Colour(images, np.stack(matrices)) if any(images) else None, notes
+    notes = colour_notes(faults, len(frames))
+    if not any(images):
+        return None, notes
+    return Colour(images, np.stack(matrices)), notes if known is None else [known, *notes]

@@ -2,7 +2,7 @@
 
     fl_x fl_y cx cy w h     of the images, for all frames or in a frame of its own; camera_angle_x and
                             camera_angle_y stand in for what is missing, the images' size for w and h
-    frames[].file_path            the colour image
+    frames[].file_path            the colour image, perhaps without its suffix; may be missing
     frames[].depth_file_path      16-bit PNG in millimetres, or an NPY in millimetres; 0 is no measurement
     frames[].transform_matrix     4x4, camera to world, metres, OpenGL's axes (x right, y up, z backward)
 
@@ -29,6 +29,7 @@ from ocnf_data.views.scans.text import json_array, read_json
 
 _FILE = "transforms.json"
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_SUFFIXES = (".png", ".jpg", ".jpeg")
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
@@ -65,12 +66,18 @@ def _frame(folder: Path, file: Path, data: dict[str, Any], entry: dict[str, Any]
     depth = _inside(folder, file, entry["depth_file_path"], f"frames[{i}].depth_file_path")
     pose = json_array(entry.get("transform_matrix"), (4, 4), file, f"frames[{i}].transform_matrix")
     colour = entry.get("file_path")
-    image = None if not colour else _inside(folder, file, colour, f"frames[{i}].file_path")
-    if image is not None and not image.is_file():  # the images are not needed, and often left behind
-        image = None
+    image = None if not colour else _image_file(_inside(folder, file, colour, f"frames[{i}].file_path"))
     K, K_colour = own_intrinsics(lambda: _intrinsics(file, {**data, **entry}, depth, image, i),
                                  given) or (None, None)
     return Frame(str(entry["depth_file_path"]), depth, pose, file, K, image, K_colour)
+
+
+def _image_file(named: Path) -> Path:
+    """The image of that name: Blender's scripts leave the suffix out."""
+    if named.is_file():
+        return named
+    whole = [named.with_name(named.name + suffix) for suffix in _SUFFIXES]
+    return next((file for file in whole if file.is_file()), named)
 
 
 def _intrinsics(file: Path, camera: dict[str, Any], depth: Path, image: Path | None,

@@ -66,9 +66,8 @@ def _image(folder: Path, file: Path, data: dict[str, Any], field: str) -> Path |
             return None
         raise OcnfError("not a path below the scan's folder", where=file, field=field, found=name)
     place = folder / path
-    if field == "rgb":
-        return place if place.is_file() else None
-    image_size(place)
+    if field != "rgb":
+        image_size(place)
     return place
 
 

@@ -339,7 +339,7 @@ def test_colour_larger_than_depth_has_the_depths_intrinsics_scaled(scene, write:
     cv2.imwrite(str(folder / "frame-000004.color.png"), np.zeros((60, 60, 3), np.uint8))
     scan = read_scan(folder)
     np.testing.assert_allclose(scan.colour.K[0], [[110, 0, 62.9], [0, 112, 47.3], [0, 0, 1]])
-    assert scan.colour.image(4) is None and "1 of 5 frames are without their colour" in scan.notes[0]
+    assert scan.colour.image(4) is None and "1 of 5 frames are without their colour" in scan.notes[1]
 
 
 def test_of_several_files_of_intrinsics_the_depths_holds(write: Write) -> None:
@@ -399,6 +399,42 @@ def test_tum_takes_what_follows_the_intrinsics_and_misses_no_image(write: Write)
     next(iter((folder / "rgb").iterdir())).unlink()
     scan = read_scan(folder)
     assert "5 numbers after" in scan.notes[0] and "without their colour" in scan.notes[1]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".jpeg"])
+def test_images_of_a_capture_may_be_named_without_their_suffix(write: Write, suffix: str) -> None:
+    folder = write("transforms")
+    for file in (folder / "images").iterdir():
+        file.rename(file.with_suffix(suffix))
+    _json("transforms.json", lambda d: [frame.update(file_path=frame["file_path"].removesuffix(".png"))
+                                        for frame in d["frames"]])(folder)
+    scan = read_scan(folder)
+    assert scan.notes == () and [scan.colour.image(i).shape for i in range(5)] == [(96, 128, 3)] * 5
+
+
+@pytest.mark.parametrize(("name", "images"), [("transforms", "images/*.png"), ("voxlets", "frames/*.ppm"),
+                                              ("tum", "rgb/*.png")])
+def test_images_that_are_not_there_are_counted(write: Write, name: str, images: str) -> None:
+    folder = write(name)
+    files = sorted(folder.glob(images))
+    files[1].unlink()
+    scan = read_scan(folder)
+    assert scan.colour.image(1) is None and scan.colour.image(2) is not None
+    assert scan.notes == (
+        f"1 of 5 frames are without their colour: the images are not there ({files[1]})",)
+    for file in files[:1] + files[2:]:
+        file.unlink()
+    scan = read_scan(folder)
+    assert scan.colour is None and scan.notes[0].startswith("5 of 5 frames are without their colour")
+    assert read_scan(folder, colour=False).notes == ()
+
+
+def test_colour_that_is_not_registered_is_said(write: Write) -> None:
+    folder = write("7scenes")
+    note, = read_scan(folder).notes
+    assert "the published 7-Scenes are not" in note
+    plain = read_scan(folder, colour=False)
+    assert plain.colour is None and plain.notes == ()
 
 
 def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
