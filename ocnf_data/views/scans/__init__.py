@@ -40,7 +40,7 @@ SCAN_FORMATS: dict[str, ScanFormat] = {
 def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | int | None = None,
               format: str | None = None, depth_scale: float | None = None,
               intrinsics: Sequence[float] | None = None, poses: str | None = None, pose_scale: float = 1.0,
-              crop: Sequence[int] = (0, 0, 0, 0), colour: bool = True,
+              crop: Sequence[int] = (0, 0, 0, 0), axes: str | None = None, colour: bool = True,
               report: Callable[[int, int], None] | None = None) -> Scan:
     """Read a scan of any format that is known here.
 
@@ -55,6 +55,8 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         poses: `camera-to-world` or `world-to-camera`, in place of the format's.
         pose_scale: length in metres of a unit of the poses' translations.
         crop: pixels along (left, top, right, bottom) of the depth maps that are not used.
+        axes: axes of the cameras in the poses, in place of the format's: `opencv` (x right, y down, z
+            forward) or `opengl` (y up, z backward).
         colour: whether the colour images are looked for.
         report: told (frames read, frames in all) after each frame.
 
@@ -63,7 +65,8 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
             or one that is wrong, with its file: it is never left out in silence.
     """
     direction = None if poses is None else convention(Direction, poses, "read_scan", "poses")
-    said = Said(depth_scale, _four(intrinsics), direction, pose_scale, _whole(crop))
+    looks = None if axes is None else convention(Axes, axes, "read_scan", "axes")
+    said = Said(depth_scale, _four(intrinsics), direction, pose_scale, _whole(crop), looks)
     text = os.fspath(place)
     if format is None and is_kept(text):
         _refuse(said, text)

@@ -130,6 +130,7 @@ class Said:
         direction: what the pose matrices in the files do with a point: camera to world, or world to camera.
         pose_scale: metres a unit of the poses' translations (0.001 for a trajectory in millimetres).
         crop: pixels along (left, top, right, bottom) of each depth map that are not used.
+        axes: axes of the cameras in the pose matrices: OpenCV's or OpenGL's.
     """
 
     depth_scale: float | None = None
@@ -137,6 +138,7 @@ class Said:
     direction: Direction | None = None
     pose_scale: float = 1.0
     crop: tuple[int, int, int, int] = (0, 0, 0, 0)
+    axes: Axes | None = None
 
     def __post_init__(self) -> None:
         for field, value in (("depth_scale", self.depth_scale), ("pose_scale", self.pose_scale)):

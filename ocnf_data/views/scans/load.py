@@ -55,11 +55,12 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     poses = np.stack([frame.pose for frame in chosen])
     names = [f"{frame.where}" if frame.name in frame.where.name else f"{frame.where}: {frame.name}"
              for frame in chosen]
-    R, T = to_camera(poses, names, said.direction or listing.direction, listing.axes, said.pose_scale)
+    axes = said.axes or listing.axes
+    R, T = to_camera(poses, names, said.direction or listing.direction, axes, said.pose_scale)
     unit = listing.unit if said.depth_scale is None else 1 / said.depth_scale
     depth = _crop(_read_depths(chosen, unit, where, report), said.crop, where)
     views = Views(depth, K, R, T)
-    found = agreement(views, listing.axes)
+    found = agreement(views, axes)
     warnings = tuple(judge(found, views, where))
     coloured, lacking = _colour(chosen, views, listing.colour) if colour else (None, [])
     return Scan(views, tuple(frame.name for frame in chosen), listing.cube, (*listing.notes, *lacking),

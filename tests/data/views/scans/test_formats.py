@@ -102,6 +102,21 @@ def test_what_the_user_says_wins(scene, write: Write) -> None:
     assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).warnings == ()
 
 
+@pytest.mark.parametrize(("name", "axes"), [("7scenes", "opengl"), ("transforms", "opencv")])
+def test_axes_of_the_users_win(scene, write: Write, name: str, axes: str) -> None:
+    """The poses are written with the axes that the format does not have."""
+    folder, flip = write(name), np.diag([1.0, -1, -1, 1])
+    for i, pose in enumerate(scene.poses):
+        if name == "7scenes":
+            np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose @ flip)
+    _json("transforms.json", lambda d: [frame.update(transform_matrix=pose.tolist()) for frame, pose in zip(
+        d["frames"], scene.poses, strict=True)])(folder) if name == "transforms" else None
+    scan = read_scan(folder, axes=axes)
+    np.testing.assert_allclose(to_world(scan), scene.poses, atol=1e-8)
+    assert scan.warnings == () and scan.agreement.share > 0.8
+    assert read_scan(folder).agreement.share < 0.6
+
+
 def test_tums_own_intrinsics_are_taken_for_its_own_size_only_and_said(write: Write) -> None:
     folder = write("tum")
     (folder / "calibration.txt").unlink()
@@ -455,6 +470,7 @@ def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
     ({"intrinsics": (1, 2, 3)}, "intrinsics: not intrinsics.*four numbers"),
     ({"pose_scale": "0.001"}, "pose_scale: not a scale"),
     ({"depth_scale": "1000"}, "depth_scale: not a scale"),
+    ({"axes": "blender"}, "axes: not a convention of axes; found blender, expected opencv or opengl"),
     ({"crop": ("1", "2", "3", "4")}, "crop: not a crop"), ({"crop": 3}, "crop: not a crop"),
 ])
 def test_an_argument_of_another_kind_is_refused_by_name(write: Write, asked: dict, message: str) -> None:
