@@ -67,7 +67,7 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
     direction = None if poses is None else convention(Direction, poses, "read_scan", "poses")
     looks = None if axes is None else convention(Axes, axes, "read_scan", "axes")
     said = Said(depth_scale, _four(intrinsics), direction, pose_scale, _whole(crop), looks)
-    text = os.fspath(place)
+    text = _named(place)
     if format is None and is_kept(text):
         _refuse(said, text)
         return read_kept_views(text, frames, every)
@@ -88,11 +88,20 @@ def list_scan(folder: str | os.PathLike[str], format: str | None = None,
         OcnfError: nothing there (`missing`), no known format or several, a file of poses or intrinsics that
             cannot be read, with its name.
     """
-    path = Path(folder)
+    path = Path(_named(folder))
     if not path.exists():
-        raise OcnfError("no such scan", code="missing", where=os.fspath(folder))
+        raise OcnfError("no such scan", code="missing", where=path)
     chosen = _pick(path, format)
     return chosen.read(path, given), chosen.name
+
+
+def _named(place: object) -> str:
+    """The text of a path; an empty one would be the working directory."""
+    text = os.fspath(place) if isinstance(place, str | os.PathLike) else None
+    if not isinstance(text, str) or not text:
+        raise OcnfError("not a path", where="read_scan", field="place", found=repr(place),
+                        expected="a scan's folder, or FILE.h5::KEY")
+    return text
 
 
 def _pick(folder: Path, name: str | None) -> ScanFormat:

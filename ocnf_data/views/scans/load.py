@@ -16,7 +16,7 @@ from ocnf_data.views.cameras import Views, resized, same_shape
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.agreement import agreement, judge
 from ocnf_data.views.scans.images import image_size, read_depth
-from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole
+from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole, left_out
 from ocnf_data.views.scans.poses import to_camera
 from ocnf_data.views.scans.scan import Colour, Scan, to_metres
 from ocnf_data.views.scans.selection import choose
@@ -68,14 +68,15 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
 
 
 def posed(listing: Listing, where: object) -> Listing:
-    """The frames whose pose is finite, with a note on each of the others.
+    """The frames whose pose is finite, with a note on the others.
 
     Raises:
         OcnfError: there are none (`empty`).
     """
-    found = tuple(frame for frame in listing.frames if np.isfinite(frame.pose).all())
-    notes = (*listing.notes, *(f"{frame.name}: the pose is not known (NaN or infinite), left out"
-                               for frame in listing.frames if not np.isfinite(frame.pose).all()))
+    lost = [not np.isfinite(frame.pose).all() for frame in listing.frames]
+    found = tuple(frame for frame, gone in zip(listing.frames, lost, strict=True) if not gone)
+    names = [frame.name for frame in listing.frames]
+    notes = (*listing.notes, *left_out("frame", "whose pose is not known (NaN or infinite)", names, lost))
     if not found:
         raise OcnfError("no frame can be used", code="empty", where=where, found="; ".join(notes) or None)
     return replace(listing, frames=found, notes=notes)

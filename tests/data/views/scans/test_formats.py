@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans import SCAN_FORMATS, Scan, read_scan
+from ocnf_data.views.scans import SCAN_FORMATS, Scan, list_scan, read_scan
 
 ALL = ["7scenes", "tum", "open3d", "open3d-json", "transforms", "scannet", "voxlets"]
 Write = Callable[[str], Path]
@@ -84,7 +84,34 @@ def test_numbers_in_names_count_as_numbers(write: Write) -> None:
 
 
 def test_lost_tracking_is_left_out_by_name(write: Write) -> None:
-    assert read_scan(write("scannet")).notes == ("100: the pose is not known (NaN or infinite), left out",)
+    assert read_scan(write("scannet")).notes == (
+        "1 frame whose pose is not known (NaN or infinite), left out: 100",)
+
+
+def test_many_frames_that_are_left_out_are_one_line(write: Write) -> None:
+    folder = write("scannet")
+    for i in [*range(105, 400, 5), 500]:
+        np.savetxt(folder / f"pose/{i}.txt", np.full((4, 4), np.nan))
+        shutil.copy(folder / "depth/0.png", folder / f"depth/{i}.png")
+    for i in (600, 607, 608):
+        shutil.copy(folder / "depth/0.png", folder / f"depth/{i}.png")
+        np.savetxt(folder / f"pose/{1000 - i}.txt", np.eye(4))
+    assert read_scan(folder).notes == (
+        "3 depth maps without a pose, left out: 600 to 608",
+        "3 poses without a depth map, left out: 392, 393, 400",
+        "61 frames whose pose is not known (NaN or infinite), left out: 100 to 500")
+    np.savetxt(folder / "pose/200.txt", np.eye(4))
+    assert read_scan(folder).notes[-1] == (
+        "60 frames whose pose is not known (NaN or infinite), left out: 100 to 195, 205 to 500")
+    for i in range(110, 400, 20):
+        np.savetxt(folder / f"pose/{i}.txt", np.eye(4))
+    note = read_scan(folder).notes[-1]
+    assert note.startswith("45 frames") and "left out: 100, 105, 115 to 125, 135 to" in note
+    assert note.endswith(" 275 to 285, and 7 more such")
+    folder = write("transforms")
+    _json("transforms.json", lambda d: [d["frames"][i].pop("depth_file_path") for i in (0, 2, 3, 4)])(folder)
+    assert read_scan(folder).notes == (
+        "4 frames without depth_file_path, left out: frames[0], frames[2] to frames[4]",)
 
 
 def test_what_the_user_says_wins(scene, write: Write) -> None:
@@ -100,6 +127,46 @@ def test_what_the_user_says_wins(scene, write: Write) -> None:
     with pytest.raises(OcnfError, match=r"does not say its intrinsics.*FX,FY,CX,CY"):
         read_scan(folder)
     assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).warnings == ()
+
+
+@pytest.mark.parametrize("name", ["open3d", "open3d-json"])
+def test_the_depth_scale_that_open3d_writes_holds_unless_the_user_says_another(scene, write: Write,
+                                                                               name: str) -> None:
+    folder = write(name)
+    for i in range(5):
+        cv2.imwrite(str(folder / f"depth/{i + 1}.png"), scene.stored(i, 4000))
+    if not (folder / "intrinsic.json").exists():
+        (folder / "intrinsic.json").write_text("{}")
+    _json("intrinsic.json", lambda d: d.update(depth_scale=4000, device_name="Intel RealSense L515"))(folder)
+    scan = read_scan(folder)
+    np.testing.assert_allclose(scan.views.depth, scene.depth, atol=0.5 / 4000 + 1e-6)
+    assert scan.warnings == ()
+    np.testing.assert_array_equal(read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.depth,
+                                  scan.views.depth)
+    np.testing.assert_allclose(read_scan(folder, depth_scale=8000).views.depth, scan.views.depth / 2)
+    (folder / "color_intrinsic.json").write_text('{"depth_scale": 1000}')
+    with pytest.raises(OcnfError, match=r"differ in their depth scale; found 1000 \(color_.*, 4000 \(intr"):
+        read_scan(folder)
+    for value in (0, -1, None, "4000", True, [4000], float("nan"), float("inf"), 10**400, 1e-320):
+        (folder / "color_intrinsic.json").write_text(json.dumps({"depth_scale": value}))
+        with pytest.raises(OcnfError, match=r"color_intrinsic.json: depth_scale: not a scale"):
+            read_scan(folder)
+
+
+def test_a_capture_that_was_scaled_says_what_undoes_it(scene, write: Write) -> None:
+    folder = write("transforms")
+    scaled = scene.poses.copy()
+    scaled[:, :3, 3] *= 0.3
+    _json("transforms.json", lambda d: d.update(applied_scale=0.3, frames=[
+        {**frame, "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()}
+        for frame, pose in zip(d["frames"], scaled, strict=True)]))(folder)
+    note = next(note for note in read_scan(folder).notes if "applied_scale" in note)
+    scale = float(note.split("--pose-scale ")[1].rstrip(")"))
+    np.testing.assert_allclose(to_world(read_scan(folder, pose_scale=scale)), scene.poses, atol=1e-8)
+    for value in (None, "x", 0, -2, False, float("nan"), 10**400):
+        _json("transforms.json", lambda d, value=value: d.update(applied_scale=value))(folder)
+        with pytest.raises(OcnfError, match=r"transforms.json: applied_scale: not a scale"):
+            read_scan(folder)
 
 
 @pytest.mark.parametrize(("name", "axes"), [("7scenes", "opengl"), ("transforms", "opencv")])
@@ -225,6 +292,15 @@ SPOILT = [
     ("voxlets", _cut("frames/00002.pgm"), "cut off"),
     ("voxlets", _header("frames/00002.pgm", b"no picture"), "not a known image"),
     ("tum", _cut("depth/1305031102.160000.png"), "cut off or damaged"),
+    # files elsewhere
+    ("tum", _edit("depth.txt", lambda t: t.replace(" depth/", " ../tum/depth/")),
+     r"depth.txt: line 3: not a path below the scan's folder; found \.\./tum/depth"),
+    ("tum", _edit("rgb.txt", lambda t: t.replace(" rgb/", " /rgb/")),
+     r"rgb.txt: line 1: not a path below the scan's folder; found /rgb"),
+    ("voxlets", _edit("poses/000001.yaml", lambda t: t.replace("image: ", "image: ../voxlets/")),
+     "000001.yaml: image: not a path below the scan's folder"),
+    ("transforms", _json("transforms.json", lambda d: d["frames"][1].update(file_path="..\\a.png")),
+     r"frames\[1\].file_path: not a path below the scan's folder"),
     # YAML with tags that would run code
     ("voxlets", _edit("poses/000001.yaml", lambda t: t + "x: !!python/object/apply:os.system ['false']\n"),
      "000001.yaml.*not valid YAML.*os.system"),
@@ -470,6 +546,7 @@ def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
     ({"intrinsics": (1, 2, 3)}, "intrinsics: not intrinsics.*four numbers"),
     ({"pose_scale": "0.001"}, "pose_scale: not a scale"),
     ({"depth_scale": "1000"}, "depth_scale: not a scale"),
+    ({"depth_scale": True}, "depth_scale: not a scale"),
     ({"axes": "blender"}, "axes: not a convention of axes; found blender, expected opencv or opengl"),
     ({"crop": ("1", "2", "3", "4")}, "crop: not a crop"), ({"crop": 3}, "crop: not a crop"),
 ])
@@ -477,3 +554,12 @@ def test_an_argument_of_another_kind_is_refused_by_name(write: Write, asked: dic
     with pytest.raises(OcnfError, match=message) as refused:
         read_scan(write("7scenes"), **asked)
     assert len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize("place", ["", 5, None, b"scan", ["scan"]])
+def test_what_is_no_path_is_refused(place: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty one would be the working directory."""
+    monkeypatch.chdir(tmp_path)
+    for read in (read_scan, list_scan):
+        with pytest.raises(OcnfError, match=r"place: not a path; found .*, expected a scan's folder"):
+            read(place)
