@@ -151,6 +151,7 @@ BORROWED = """
     ocnf_data.encodings
     ocnf_data.errors
     ocnf_data.files.lock
+    ocnf_data.files.memory
     ocnf_data.files.records
     ocnf_data.files.storage
     ocnf_data.files.storage_errors

@@ -12,6 +12,7 @@ import numpy as np
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.memory import usable_memory
 from ocnf_data.views.cameras import Views, resized, same_shape
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.agreement import agreement, judge
@@ -24,7 +25,7 @@ from ocnf_data.views.scans.vertex_colour import colour_notes
 
 _MAX_FRAMES = 20_000
 _THREADS = 8  # decoding lets go of the interpreter's lock
-_MAX_BYTES = 2**34  # of depth as float32: 14,000 frames at 640x480
+_SHARE = 1 / 3  # of the memory for depth as float32: its pyramid takes as much again, a copy too
 
 
 def load(listing: Listing, where: object, format_name: str, frames: str | int | None = None, every: int = 1,
@@ -99,9 +100,13 @@ def _read_depths(frames: Sequence[Frame], unit: float, where: object,
                  report: Callable[[int, int], None] | None) -> F32:
     """(V, H, W) float32 metres, 0 where nothing was measured."""
     height, width = image_size(frames[0].depth)
-    if len(frames) > _MAX_FRAMES or height * width * 4 * len(frames) > _MAX_BYTES:
-        raise OcnfError("too many frames to hold in memory", code="too_large", where=where,
-                        found=f"{len(frames)} of {height}x{width}", fix="take fewer frames")
+    memory = usable_memory()
+    most = min(_MAX_FRAMES, int(_SHARE * memory) // (height * width * 4))
+    if len(frames) > most:
+        raise OcnfError("too many frames to hold in memory", code="too_large", where=where, field="frames",
+                        found=f"{len(frames)} of {width}x{height}",
+                        expected=f"at most {most} with the {memory / 1e9:,.1f} GB that may be used",
+                        fix=f"take --frames {most}" if most else None)
     depth = np.empty((len(frames), height, width), np.float32)
 
     def read(i: int) -> None:

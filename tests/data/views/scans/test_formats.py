@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import re
 import shutil
 import struct
 import zlib
@@ -563,3 +565,19 @@ def test_what_is_no_path_is_refused(place: object, tmp_path: Path, monkeypatch: 
     for read in (read_scan, list_scan):
         with pytest.raises(OcnfError, match=r"place: not a path; found .*, expected a scan's folder"):
             read(place)
+
+
+@pytest.mark.parametrize("fitting", [1, 3, 4])
+def test_as_many_frames_are_named_as_fit_into_memory(write: Write, monkeypatch: pytest.MonkeyPatch,
+                                                     fitting: int) -> None:
+    folder = write("7scenes")
+    load = importlib.import_module("ocnf_data.views.scans.load")  # the package has a function of this name
+    monkeypatch.setattr(load, "usable_memory", lambda: 3 * fitting * 48 * 64 * 4 + 100)
+    with pytest.raises(OcnfError, match="frames: too many frames to hold in memory; found 5 of 64x48") as no:
+        read_scan(folder)
+    assert no.value.code == "too_large"
+    named = re.search(r"Take --frames (\d+)\.", str(no.value))[1]
+    assert int(named) == fitting and len(read_scan(folder, frames=named).views) == fitting
+    monkeypatch.setattr(load, "usable_memory", lambda: 100)
+    with pytest.raises(OcnfError, match=r"expected at most 0 with the 0\.0 GB that may be used$"):
+        read_scan(folder)
