@@ -22,6 +22,8 @@ from typer.testing import CliRunner
 
 from ocnf_data import GridOctree, octree_surface
 from ocnf_data.errors import OcnfError
+from ocnf_data.meshes import read_mesh
+from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Colour, read_scan
 from ocnf_model.cli import app
 from ocnf_model.scan.run import Asked, run_fuse
@@ -110,6 +112,23 @@ def test_a_dense_tsdf_that_is_too_large_is_refused_before_anything_is_fused(
         fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / "tsdf.npz", preview=tmp_path / "box.png",
              reading={"frames": 2}, **asked)
     assert refused.value.code == "too_large" and not list(tmp_path.iterdir())
+
+
+def test_a_georeferenced_scan_keeps_its_shape_or_is_refused_before_it_is_fused(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shift = np.array([500_000.0, 4_000_000.0, 100.0])
+    read = read_scan(scan, every=2)
+    views = Views(read.views.depth, read.views.K, read.views.R, read.views.T - read.views.R @ shift)
+    monkeypatch.setattr("ocnf_model.scan.run.read_scan", lambda *_, **__: replace(read, views=views))
+    box = (*np.add(BOX[:3], shift), *np.add(BOX[3:], shift))
+    fuse(scan, tmp_path / "mesh.glb", box=box)
+    vertices = read_mesh(tmp_path / "mesh.glb").vertices
+    off = np.abs(np.linalg.norm(vertices - shift - (0.7, -1.2, 2.5), axis=1) - 0.2)
+    assert len(vertices) > 1000 and off.max() < 0.48 / 32
+    monkeypatch.setattr("ocnf_model.scan.run.reconstruct", lambda *_, **__: pytest.fail("it was fused"))
+    with pytest.raises(OcnfError, match=r"^STL: .*steps of 0.25 at 3999999"):
+        fuse(scan, tmp_path / "mesh.stl", box=box)
+    assert [path.name for path in tmp_path.iterdir()] == ["mesh.glb"]
 
 
 def test_a_write_that_fails_leaves_nothing_behind(scan: Path, tmp_path: Path,
