@@ -115,7 +115,7 @@ def _pick(folder: Path, name: str | None) -> ScanFormat:
     fitting = [one for one in SCAN_FORMATS.values() if one.fits(folder)]
     if len(fitting) > 1:
         raise OcnfError("the folder fits several formats", where=folder,
-                        found=", ".join(one.name for one in fitting), fix="say which with --format")
+                        found=", ".join(one.name for one in fitting), fix="name its format (--format)")
     if not fitting:
         known = "; ".join(f"{one.name}: {one.holds}" for one in SCAN_FORMATS.values())
         raise OcnfError("not a scan of a known format", where=folder,

@@ -106,7 +106,7 @@ def _read_depths(frames: Sequence[Frame], unit: float, where: object,
         raise OcnfError("too many frames to hold in memory", code="too_large", where=where, field="frames",
                         found=f"{len(frames)} of {width}x{height}",
                         expected=f"at most {most} with the {memory / 1e9:,.1f} GB that may be used",
-                        fix=f"take --frames {most}" if most else None)
+                        fix=f"take {most} frames (--frames {most})" if most else None)
     depth = np.empty((len(frames), height, width), np.float32)
 
     def read(i: int) -> None:

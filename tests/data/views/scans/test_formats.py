@@ -269,7 +269,8 @@ SPOILT = [
     ("open3d", _edit("scene/trajectory.log", lambda t: t.replace("0 0 1", "0, 0, 1")), "line 1: not a file"),
     ("open3d", _edit("scene/trajectory.log", lambda t: t[:-60]), "not a trajectory log"),
     # a trajectory in millimetres
-    ("open3d", _edit("scene/trajectory.log", _scale_log), "look like millimetres.*pose scale 0.001"),
+    ("open3d", _edit("scene/trajectory.log", _scale_log),
+     "look like millimetres.*pose scale 0.001.*--pose-scale 0.001"),
     # not finite, not rigid
     ("scannet", _edit("pose/5.txt", lambda t: "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1"),
      "5.txt: R.*not a rotation"),
@@ -576,7 +577,7 @@ def test_as_many_frames_are_named_as_fit_into_memory(write: Write, monkeypatch: 
     with pytest.raises(OcnfError, match="frames: too many frames to hold in memory; found 5 of 64x48") as no:
         read_scan(folder)
     assert no.value.code == "too_large"
-    named = re.search(r"Take --frames (\d+)\.", str(no.value))[1]
+    named = re.search(r"--frames (\d+)\)\.$", str(no.value))[1]
     assert int(named) == fitting and len(read_scan(folder, frames=named).views) == fitting
     monkeypatch.setattr(load, "usable_memory", lambda: 100)
     with pytest.raises(OcnfError, match=r"expected at most 0 with the 0\.0 GB that may be used$"):
