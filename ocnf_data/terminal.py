@@ -1,4 +1,5 @@
-"""What the command lines share: an error or an interrupt is one sentence; the version; narrow tables.
+"""What the command lines share: an error or an interrupt is one sentence; an option is given
+once; the version; narrow tables.
 
 An error ends a command with exit status 1, Ctrl-C with 130, SIGTERM with 143.
 """
@@ -8,14 +9,16 @@ from __future__ import annotations
 import functools
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import typer
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from typer.core import TyperCommand
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files import interrupts
@@ -81,6 +84,19 @@ def show_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"ocnf {__version__}")
         raise typer.Exit
+
+
+class GivenOnce(TyperCommand):
+    """A command whose options are given once: by itself it would take the last of several, in silence."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse an option of one value that is given again, in whatever spelling."""
+        _, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        for option, n in Counter[Any](order).items():
+            if n > 1 and not option.multiple and not option.is_flag:
+                raise OcnfError("given more than once", field=option.opts[0], found=f"{n} times",
+                                expected="once", fix="run the command once for each value")
+        return super().parse_args(ctx, args)
 
 
 def narrow_table(title: str) -> Table:

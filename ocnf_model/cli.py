@@ -8,15 +8,13 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
-from typer.core import TyperCommand
 
-from ocnf_data.errors import OcnfError
-from ocnf_data.terminal import run_app, show_version, stoppable
+from ocnf_data.terminal import GivenOnce, run_app, show_version, stoppable
 from ocnf_model.completion.commands import complete_app
 from ocnf_model.evaluation.methods import Method
 from ocnf_model.tables.command import tables_command
@@ -203,18 +201,7 @@ app.command("tables")(stoppable(
     _err, "what is finished is kept, and the same command goes on")(tables_command))
 
 
-class _OneBox(TyperCommand):
-    """A command line by itself would take the last of several boxes, in silence."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse a second `--box`."""
-        if (n := args.count("--box")) > 1:
-            raise OcnfError("given more than once", field="--box", found=f"{n} boxes", expected="one",
-                            fix="fuse each box by a command of its own")
-        return super().parse_args(ctx, args)
-
-
-@app.command("fuse", cls=_OneBox)
+@app.command("fuse", cls=GivenOnce)
 @stoppable(_err, "meshes are written at the end only, and the same command starts again")
 def fuse_command(
     run: Run,
@@ -266,10 +253,15 @@ def fuse_command(
         metavar="FX,FY,CX,CY", help="Intrinsics of the depth maps, in pixels. [the scan's]")] = None,
     poses: Annotated[str | None, typer.Option(
         metavar="DIRECTION", help="camera-to-world or world-to-camera. [the format's]")] = None,
+    axes: Annotated[str | None, typer.Option(
+        metavar="NAME", help="Axes of the cameras in the poses: opencv (y down, z forward) or opengl (y up, "
+                             "z backward). [the format's]")] = None,
     pose_scale: Annotated[float, typer.Option(
         help="Metres a unit of the poses' translations: 0.001 for millimetres.")] = 1.0,
     crop: Annotated[str, typer.Option(
         metavar="L,T,R,B", help="Pixels along the borders of the depth maps that are not used.")] = "0,0,0,0",
+    no_colour: Annotated[bool, typer.Option(
+        "--no-colour", help="Leave the colour images alone: the mesh gets no colours.")] = False,
 ) -> None:
     """Fuse depth frames with known poses into a mesh, in the scan's coordinates."""
     began = time.perf_counter()
@@ -280,7 +272,7 @@ def fuse_command(
 
     reading = {
         "frames": frames, "every": every, "format": format_, "depth_scale": depth_scale, "poses": poses,
-        "pose_scale": pose_scale, "crop": parse_list("crop", crop),
+        "axes": axes, "pose_scale": pose_scale, "crop": parse_list("crop", crop), "colour": not no_colour,
         "intrinsics": None if intrinsics is None else parse_list("intrinsics", intrinsics)}
     run_fuse(scan, Asked(
         out, run, method or ("ours",), box, room, voxel, resolution, max_depth,

@@ -83,7 +83,7 @@ ARROWS = {
         "ocnf_data.errors ocnf_data.files ocnf_model.devices ocnf_model.header ocnf_model.network "
         "ocnf_model.tensorfile",
     "ocnf_model.cli":
-        "ocnf_data.errors ocnf_data.terminal ocnf_model.completion ocnf_model.devices "
+        "ocnf_data.terminal ocnf_model.completion ocnf_model.devices "
         "ocnf_model.evaluation ocnf_model.info ocnf_model.scan ocnf_model.tables ocnf_model.training",
     "ocnf_model.completion":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
@@ -151,6 +151,7 @@ BORROWED = """
     ocnf_data.encodings
     ocnf_data.errors
     ocnf_data.files.lock
+    ocnf_data.files.memory
     ocnf_data.files.records
     ocnf_data.files.storage
     ocnf_data.files.storage_errors

@@ -1,1 +1,1 @@
-"""Files: local or remote storage, YAML, validated records, locks."""
+"""Files: local or remote storage, YAML, validated records, locks; and how much memory there is."""

@@ -7,7 +7,14 @@ import posixpath
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage_errors import storage_errors
@@ -17,7 +24,7 @@ from ocnf_data.meshes.listing import is_hidden
 from ocnf_data.sequences import Box
 from ocnf_data.sequences.configurations import Deal, split_in_time
 from ocnf_data.sequences.frames import FrameSequence
-from ocnf_data.views.scans import SCAN_FORMATS, Direction
+from ocnf_data.views.scans import SCAN_FORMATS, Axes, Direction
 from ocnf_data.views.scans.listing import Said
 from ocnf_data.views.scans.selection import choose
 
@@ -58,6 +65,17 @@ class ScanReading(Strict):
                 Annotated[Int, Field(ge=0)]] = (0, 0, 0, 0)
     """Pixels along left, top, right and bottom of the depth maps that are not used."""
 
+    axes: Axes | None = None
+    """Axes of the cameras in the pose matrices."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Where no axes are given it says what it always said, so that data sets begun before go on."""
+        fields: dict[str, Any] = handler(self)
+        if self.axes is None:
+            fields.pop("axes", None)
+        return fields
+
     @field_validator("format")
     @classmethod
     def _known(cls, name: str | None) -> str | None:
@@ -68,7 +86,7 @@ class ScanReading(Strict):
     @property
     def said(self) -> Said:
         """The same, as readers take it."""
-        return Said(self.depth_scale, self.intrinsics, self.poses, self.pose_scale, self.crop)
+        return Said(self.depth_scale, self.intrinsics, self.poses, self.pose_scale, self.crop, self.axes)
 
 
 def _region(value: Any) -> Any:

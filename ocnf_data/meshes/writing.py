@@ -9,9 +9,12 @@ from typing import Protocol
 import numpy as np
 
 from ocnf_data.arrays import F64, I64, U8
+from ocnf_data.errors import OcnfError
 
 _STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _DIGITS = "%.12g"
+_FAR = 16  # times its half length: where a mesh lies so far away, GLB holds it about its own centre
+_STEPS = 8  # of float32 that an edge in STL takes at least, or it is not the edge that was meant
 
 
 def _ply(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
@@ -50,18 +53,42 @@ def _off(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
 
 
 def _stl(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
-    rows = np.zeros(len(faces), _STL_RECORD)
-    rows["corners"] = vertices[faces]
+    rows, corners = np.zeros(len(faces), _STL_RECORD), vertices[faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    if (edges > 0).any():
+        check_stl(float(np.abs(corners).max()), float(np.median(edges[edges > 0])))
+    rows["corners"] = corners
     return bytes(80) + len(faces).to_bytes(4, "little") + rows.tobytes()
+
+
+def check_stl(reach: float, edge: float) -> None:
+    """Refuse a mesh that STL's 32 bits a coordinate would deform: its neighbours would lie on one step.
+
+    Args:
+        reach: the largest coordinate.
+        edge: the length of a typical edge, in the same unit.
+
+    Raises:
+        OcnfError: the steps of float32 at that coordinate are more than an eighth of the edge.
+    """
+    step = float(np.spacing(np.float32(reach)))
+    if step * _STEPS > edge:
+        raise OcnfError("STL holds 32 bits a coordinate, too few this far from the origin", where="STL",
+                        found=f"steps of {step:.2g} at {reach:.7g}, for edges of {edge:.2g}",
+                        expected=f"steps of at most {edge / _STEPS:.2g}",
+                        fix="write .ply, .obj or .glb, which hold it")
 
 
 def _glb(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
     """The bytes of a binary glTF 2.0 file: float32, drawn from both sides.
 
     Colours are linear in glTF: what is stored in sRGB is converted, to 16 bits so that nothing is lost. The
-    scene is turned by no matrix: glTF calls y up, and what a scan calls up is not known.
+    scene is turned by no matrix: glTF calls y up, and what a scan calls up is not known. Far from the origin,
+    where float32 is coarse, the positions are about the mesh's centre, which the node's translation adds.
     """
-    points = vertices.astype("<f4")
+    centre = _far_centre(vertices)
+    points = (vertices if centre is None else vertices - centre).astype("<f4")
+    node = {"mesh": 0} if centre is None else {"mesh": 0, "translation": centre.tolist()}
     parts = [points.tobytes(), faces.astype("<u4").tobytes()]
     bounds = {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()} if len(points) else {}
     accessors = [
@@ -80,7 +107,7 @@ def _glb(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
     starts = np.cumsum([0, *(len(part) for part in parts)])
     document = {
         "asset": {"version": "2.0", "generator": "ocnf"}, "scene": 0, "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [node],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}],
         "materials": [{"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0}}],
         "accessors": accessors, "buffers": [{"byteLength": int(starts[-1])}],
@@ -93,6 +120,15 @@ def _glb(vertices: F64, faces: I64, colours: U8 | None = None) -> bytes:
     return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body
 
 
+def _far_centre(vertices: F64) -> F64 | None:
+    """The centre (3,) of a mesh that lies far from the origin for its size; None where it does not."""
+    if not len(vertices):
+        return None
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    reach, half = np.abs([low, high]).max(), (high / 2 - low / 2).max()
+    return low / 2 + high / 2 if np.isfinite(reach) and reach > _FAR * half else None
+
+
 class Writer(Protocol):
     """A function from vertices (N, 3), faces (M, 3) and vertex colours (N, 3) to the bytes of a file."""
 
@@ -100,4 +136,5 @@ class Writer(Protocol):
 
 
 WRITERS: dict[str, Writer] = {".ply": _ply, ".obj": _obj, ".glb": _glb, ".off": _off, ".stl": _stl}
-"""The writer for each suffix. GLB and STL hold float32 only; OFF and STL leave colours out."""
+"""The writer for each suffix. GLB and STL hold float32 only, STL refuses what that deforms; OFF and STL
+leave colours out."""

@@ -88,7 +88,7 @@ def measured_bounds(points: F64) -> tuple[F64, F64]:
     """
     if not len(points):
         raise OcnfError("nothing was measured in any frame", code="empty", where="the scan",
-                        fix="check --depth-scale, --max-depth and --crop")
+                        fix="check the depth scale, the crop and the largest depth that is used")
     low, high = np.percentile(points, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
     return low, high
 

@@ -80,7 +80,7 @@ class FrameSequence:
         """
         listing, said = self.listing, self.said
         meaning = [listing.unit if said.depth_scale is None else 1 / said.depth_scale,
-                   str(said.direction or listing.direction), str(listing.axes), listing.cube,
+                   str(said.direction or listing.direction), str(said.axes or listing.axes), listing.cube,
                    said.intrinsics and [float(value) for value in said.intrinsics],
                    float(said.pose_scale), said.crop]
         return sha256_hex(canonical_json([meaning, *map(_frame_facts, listing.frames)]))

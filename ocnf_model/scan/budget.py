@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from numbers import Real
 
 import numpy as np
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.memory import usable_memory
 from ocnf_data.sequences.cube import measured_points
 from ocnf_data.views.cameras import Views
 from ocnf_model.scan.region import Region
@@ -18,7 +18,7 @@ _BYTES_A_SURFACE_VOXEL = 1200
 """The octrees of the tiles and of the whole about a voxel of surface, and two faces and a vertex, some of
 which are there several times while marching cubes joins them and loose parts are dropped; as measured."""
 _BYTES_A_TREE = 60  # 16 of the tree, 8 of its place, some of these more than once
-_SHARE = 0.7  # of the machine's memory
+_SHARE = 0.7  # of the memory that may be used
 _FINEST = 1e-12  # of the region: what finer voxels take is too much for a float
 
 
@@ -42,7 +42,7 @@ def check_voxel(voxel: float) -> None:
 
 
 def check_memory(views: Views, region: Region, voxel: float | None, resolution: int) -> None:
-    """Refuse voxels so small that the surface does not fit into this machine's memory, or too large ones.
+    """Refuse voxels so small that the surface does not fit into memory, or too large ones.
 
     Args:
         views: the depth maps.
@@ -62,7 +62,7 @@ def check_memory(views: Views, region: Region, voxel: float | None, resolution: 
         most = f"at most {_two_digits(longest / 8):g} m, an eighth of the region's longest side"
         raise OcnfError("the voxels are too large for the region", field=field, found=found,
                         expected="16 or more" if voxel is None else most)
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = usable_memory()
     limit, area = _SHARE * memory, _area(views, region)
     needed = _bytes(area, region, edge)
     if needed > limit:
@@ -71,8 +71,9 @@ def check_memory(views: Views, region: Region, voxel: float | None, resolution: 
                f"--voxel {_two_digits(fitting, up=True):g} or more")
         raise OcnfError("the surface would not fit into memory at this voxel size", code="too_large",
                         field=field, found=f"{found}, about {math.ceil(needed / 1e8) / 10:,.1f} GB",
-                        expected=f"at most {math.floor(limit / 1e8) / 10:,.1f} GB of this machine's "
-                                 f"{memory / 1e9:,.1f}", fix=f"take {fix}, or a smaller --box")
+                        expected=f"at most {math.floor(limit / 1e8) / 10:,.1f} GB of the "
+                                 f"{memory / 1e9:,.1f} that may be used",
+                        fix=f"take {fix}, or a smaller --box")
 
 
 def _area(views: Views, region: Region) -> float:

@@ -12,12 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ocnf_data.arrays import F64, I64, U8
 from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid
 from ocnf_data.octree import GridOctree
 from ocnf_data.octree.surface import octree_surface
 from ocnf_data.views.scans import Scan
-from ocnf_data.views.scans.vertex_colour import vertex_colours, vertex_normals
+from ocnf_data.views.scans.vertex_colour import colour_notes, vertex_colours, vertex_normals
 from ocnf_model.scan.budget import check_memory
 from ocnf_model.scan.components import LOOSE_VOXELS, check_faces, decimate, drop_loose, keep_vertices
 from ocnf_model.scan.fusers import Fuser, fuse_tile
@@ -122,14 +123,25 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
             vertices, triangles = decimate(vertices, triangles, faces)
             said.append(f"decimated to {len(triangles):,}")
         stage.say(", ".join(said))
-    colours = None
-    if scan.colour is not None:
-        with stages.stage("colour") as stage:
-            colours = vertex_colours(vertices, scan, truncation, vertex_normals(vertices, triangles))[0]
-            images = sum(image is not None for image in scan.colour.images)
-            stage.say(f"{len(vertices):,} vertices from {images} images")
+    colours, lacking = _colours(scan, vertices, triangles, truncation, stages)
     return Reconstruction(vertices, triangles, octrees, grid, truncation, seconds,
-                          (*scan.notes, *scan.warnings), colours, loose, str(fuser.method))
+                          (*scan.notes, *lacking, *scan.warnings), colours, loose, str(fuser.method))
+
+
+def _colours(scan: Scan, vertices: F64, triangles: I64, truncation: float,
+             stages: StageLog) -> tuple[U8 | None, list[str]]:
+    """Colours of the vertices, and notes on images that cannot be read: they never cost the surface."""
+    if scan.colour is None:
+        return None, []
+    faults: list[OcnfError] = []
+    with stages.stage("colour") as stage:
+        normals = vertex_normals(vertices, triangles)
+        colours, _ = vertex_colours(vertices, scan, truncation, normals, faults.append)
+        images = sum(image is not None for image in scan.colour.images) - len(faults)
+        stage.say(f"{len(vertices):,} vertices from {images} images")
+    notes = colour_notes(faults, len(scan.views))
+    stages.note(notes)
+    return colours if images else None, notes
 
 
 def _fuse(pyramid: DepthPyramid, fuser: Fuser, region: Region, voxel: float | None, stages: StageLog,

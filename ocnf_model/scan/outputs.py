@@ -12,8 +12,9 @@ from ocnf_data.errors import OcnfError, missing_extra
 from ocnf_data.files.storage import Store
 from ocnf_data.files.storage_errors import storage_errors
 from ocnf_data.files.targets import check_file, check_target
-from ocnf_data.meshes.writing import WRITERS
+from ocnf_data.meshes.writing import WRITERS, check_stl
 from ocnf_model.scan.reconstruction import Reconstruction
+from ocnf_model.scan.region import Region
 
 TSDF_SUFFIXES = (".npz", ".oc")
 _PLACING = {"shape", "first", "voxel", "truncation"}
@@ -69,6 +70,12 @@ def check_dense(path: Path, shape: tuple[int, ...]) -> None:
         raise OcnfError("too large as a dense volume", code="too_large", where=path,
                         found=f"{shape} voxels", expected=f"at most {_MAX_DENSE:,}",
                         fix="write an octree, to a name that ends in .oc")
+
+
+def check_mesh(path: Path, region: Region, voxel: float) -> None:
+    """Raise OcnfError where such a file cannot hold the mesh of a region, in voxels of so many metres."""
+    if path.suffix.lower() == ".stl":
+        check_stl(float(np.abs([region.low, region.high]).max()), voxel / 2)
 
 
 def mesh_suffixes() -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from ocnf_model.scan.fusers import Baseline, Fuser, Learned
 from ocnf_model.scan.outputs import (
     TSDF_SUFFIXES,
     check_dense,
+    check_mesh,
     check_picture,
     check_placing,
     mesh_suffixes,
@@ -151,9 +152,11 @@ def run_fuse(scan: str, asked: Asked, console: Console | None = None,
         found = "the largest object" if read.cube is None else "the scan's own cube"
         what = "everything seen" if asked.room else "" if asked.box else found
         stage.say(", ".join(part for part in (what, str(region), f"{lengths} m") if part))
-    if asked.tsdf is not None:
-        for fuser in fusers:
+    for fuser in fusers:
+        if asked.tsdf is not None:
             check_dense(asked.tsdf, _shape(region, asked.voxel, fuser.resolution))
+        if asked.out is not None:
+            check_mesh(asked.out, region, asked.voxel or region.size / fuser.resolution)
     if asked.preview is not None:  # before hours of fusing, so that it can be looked at
         from ocnf_model.scan.preview import draw_preview
 
@@ -175,9 +178,8 @@ def _read(place: str, asked: Asked, stages: StageLog) -> Scan:
         agree = "" if scan.agreement is None or len(scan.views) < 2 else f", {scan.agreement}"
         number = "1 frame" if len(scan.views) == 1 else f"{len(scan.views)} frames"
         stage.say(f"{number} of {width}x{height} ({scan.format}){agree}")
-    for note in (*scan.notes, *scan.warnings):  # before anything fails for the reason that they give
-        if stages.console is not None:
-            stages.console.print(f"Note: {note}", highlight=False, markup=False, soft_wrap=True)
+    stages.note(scan.notes)
+    stages.note(scan.warnings, "Warning")  # before anything fails for the reason that they give
     return scan
 
 

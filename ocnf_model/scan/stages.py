@@ -6,7 +6,7 @@ Each stage begins when the one before ends, so that the times add up to what a c
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -54,6 +54,7 @@ class StageLog:
         self._began = time.perf_counter() if began is None else began
         self._last = self._began
         self.seconds: list[tuple[str, float]] = []
+        self._noted: set[str] = set()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[StageLine]:
@@ -78,6 +79,13 @@ class StageLog:
             self.console.print(f"{name:<{_NAME_WIDTH}} {now - self._last:6.1f} s  {text}".rstrip(),
                                highlight=False, markup=False, soft_wrap=True)
         self._last = now
+
+    def note(self, sentences: Iterable[str], kind: str = "Note") -> None:
+        """Print sentences, a line each, but none twice."""
+        for sentence in sentences:
+            if self.console is not None and sentence not in self._noted:
+                self.console.print(f"{kind}: {sentence}", highlight=False, markup=False, soft_wrap=True)
+            self._noted.add(sentence)
 
     @property
     def total(self) -> float:

@@ -40,7 +40,7 @@ SCAN_FORMATS: dict[str, ScanFormat] = {
 def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | int | None = None,
               format: str | None = None, depth_scale: float | None = None,
               intrinsics: Sequence[float] | None = None, poses: str | None = None, pose_scale: float = 1.0,
-              crop: Sequence[int] = (0, 0, 0, 0),
+              crop: Sequence[int] = (0, 0, 0, 0), axes: str | None = None, colour: bool = True,
               report: Callable[[int, int], None] | None = None) -> Scan:
     """Read a scan of any format that is known here.
 
@@ -55,6 +55,9 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
         poses: `camera-to-world` or `world-to-camera`, in place of the format's.
         pose_scale: length in metres of a unit of the poses' translations.
         crop: pixels along (left, top, right, bottom) of the depth maps that are not used.
+        axes: axes of the cameras in the poses, in place of the format's: `opencv` (x right, y down, z
+            forward) or `opengl` (y up, z backward).
+        colour: whether the colour images are looked for.
         report: told (frames read, frames in all) after each frame.
 
     Raises:
@@ -62,13 +65,14 @@ def read_scan(place: str | os.PathLike[str], *, every: int = 1, frames: str | in
             or one that is wrong, with its file: it is never left out in silence.
     """
     direction = None if poses is None else convention(Direction, poses, "read_scan", "poses")
-    said = Said(depth_scale, _four(intrinsics), direction, pose_scale, _whole(crop))
-    text = os.fspath(place)
+    looks = None if axes is None else convention(Axes, axes, "read_scan", "axes")
+    said = Said(depth_scale, _four(intrinsics), direction, pose_scale, _whole(crop), looks)
+    text = _named(place)
     if format is None and is_kept(text):
         _refuse(said, text)
         return read_kept_views(text, frames, every)
     listing, name = list_scan(text, format, intrinsics is not None)
-    return load(listing, text, name, frames, every, said, report)
+    return load(listing, text, name, frames, every, said, report, colour)
 
 
 def list_scan(folder: str | os.PathLike[str], format: str | None = None,
@@ -84,11 +88,20 @@ def list_scan(folder: str | os.PathLike[str], format: str | None = None,
         OcnfError: nothing there (`missing`), no known format or several, a file of poses or intrinsics that
             cannot be read, with its name.
     """
-    path = Path(folder)
+    path = Path(_named(folder))
     if not path.exists():
-        raise OcnfError("no such scan", code="missing", where=os.fspath(folder))
+        raise OcnfError("no such scan", code="missing", where=path)
     chosen = _pick(path, format)
     return chosen.read(path, given), chosen.name
+
+
+def _named(place: object) -> str:
+    """The text of a path; an empty one would be the working directory."""
+    text = os.fspath(place) if isinstance(place, str | os.PathLike) else None
+    if not isinstance(text, str) or not text:
+        raise OcnfError("not a path", where="read_scan", field="place", found=repr(place),
+                        expected="a scan's folder, or FILE.h5::KEY")
+    return text
 
 
 def _pick(folder: Path, name: str | None) -> ScanFormat:
@@ -102,7 +115,7 @@ def _pick(folder: Path, name: str | None) -> ScanFormat:
     fitting = [one for one in SCAN_FORMATS.values() if one.fits(folder)]
     if len(fitting) > 1:
         raise OcnfError("the folder fits several formats", where=folder,
-                        found=", ".join(one.name for one in fitting), fix="say which with --format")
+                        found=", ".join(one.name for one in fitting), fix="name its format (--format)")
     if not fitting:
         known = "; ".join(f"{one.name}: {one.holds}" for one in SCAN_FORMATS.values())
         raise OcnfError("not a scan of a known format", where=folder,

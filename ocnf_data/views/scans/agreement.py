@@ -123,7 +123,7 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
             found=f"cameras spread over {spread:.4g} with depths of {typical:.2g} m; read as metres "
                   f"{_percent(found.share)} of the depths of neighbouring frames agree, as millimetres "
                   f"{_percent(found.millimetres)}",
-            expected="metres", fix="give the pose scale 0.001 if they are")
+            expected="metres", fix="give the pose scale 0.001 if they are (--pose-scale 0.001)")
     if len(views) < 2:
         return []
     doubtful = found.compared < _ENOUGH or found.past > _PAST

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import groupby
 from numbers import Real
-from pathlib import Path
-from typing import TypeVar
+from operator import itemgetter
+from pathlib import Path, PurePosixPath
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -39,6 +41,7 @@ class Axes(StrEnum):
     """x right, y up, z backward."""
 
 
+_MOST_SPANS = 12  # in a note
 _Choice = TypeVar("_Choice", bound=StrEnum)
 _Read = TypeVar("_Read")
 
@@ -89,6 +92,7 @@ class Listing:
         cube: (centre, side) in metres of the space that the scan is about, where the format says.
         notes: a sentence for each thing left out or assumed.
         intrinsics: what to do where K is None.
+        colour: a sentence on the colour images, for a scan that has some.
     """
 
     frames: tuple[Frame, ...]
@@ -98,6 +102,7 @@ class Listing:
     cube: tuple[tuple[float, float, float], float] | None = None
     notes: tuple[str, ...] = ()
     intrinsics: str = "give them as FX,FY,CX,CY"
+    colour: str | None = None
 
 
 @dataclass(frozen=True)
@@ -128,6 +133,7 @@ class Said:
         direction: what the pose matrices in the files do with a point: camera to world, or world to camera.
         pose_scale: metres a unit of the poses' translations (0.001 for a trajectory in millimetres).
         crop: pixels along (left, top, right, bottom) of each depth map that are not used.
+        axes: axes of the cameras in the pose matrices: OpenCV's or OpenGL's.
     """
 
     depth_scale: float | None = None
@@ -135,6 +141,7 @@ class Said:
     direction: Direction | None = None
     pose_scale: float = 1.0
     crop: tuple[int, int, int, int] = (0, 0, 0, 0)
+    axes: Axes | None = None
 
     def __post_init__(self) -> None:
         for field, value in (("depth_scale", self.depth_scale), ("pose_scale", self.pose_scale)):
@@ -147,15 +154,21 @@ class Said:
             check_pinhole(pinhole(*self.intrinsics), "read_scan")
 
 
-def check_scale(value: float, where: object, field: str) -> float:
+def check_scale(value: Any, where: object, field: str) -> float:
     """A number of units in another one, finite and above 0.
 
     Raises:
         OcnfError: it is not.
     """
-    if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
-        raise OcnfError("not a scale", where=where, field=field, found=value, expected="a number above 0")
-    return value
+    try:
+        fits = (isinstance(value, Real) and not isinstance(value, bool) and float(value) > 0
+                and np.isfinite([float(value), 1 / float(value)]).all())
+    except (OverflowError, ZeroDivisionError):  # an integer too large for a float, a fraction too small
+        fits = False
+    if not fits:
+        raise OcnfError("not a scale", where=where, field=field, found="none" if value is None else value,
+                        expected="a number above 0")
+    return float(value)
 
 
 def check_pinhole(K: F64, where: object) -> F64:
@@ -204,7 +217,43 @@ def by_number(stem: str) -> tuple[list[int], str]:
 
 
 def unmatched(depths: Iterable[str], poses: Iterable[str]) -> list[str]:
-    """A note for each depth map without a pose, and each pose without a depth map."""
-    depths, poses = set(depths), set(poses)
-    return ([f"{name}: a depth map without a pose, left out" for name in sorted(depths - poses)]
-            + [f"{name}: a pose without a depth map, left out" for name in sorted(poses - depths)])
+    """A note on the depth maps without a pose, and one on the poses without a depth map."""
+    maps, posed = set(depths), set(poses)
+    names = sorted(maps | posed, key=by_number)
+    return [*left_out("depth map", "without a pose", names, [name not in posed for name in names]),
+            *left_out("pose", "without a depth map", names, [name not in maps for name in names])]
+
+
+def left_out(thing: str, why: str, names: Sequence[str], missing: Sequence[bool]) -> list[str]:
+    """A note on those of the names that are left out, or none; neighbours in the order are one span.
+
+    >>> left_out("frame", "without a pose", ["1", "2", "3", "4", "5"], [True, False, True, True, True])
+    ['4 frames without a pose, left out: 1, 3 to 5']
+
+    Args:
+        thing: what a name is of.
+        why: as a clause.
+        names: all names, in order.
+        missing: for each, whether it is left out.
+    """
+    spans = [[name for name, _ in span]
+             for gone, span in groupby(zip(names, missing, strict=True), itemgetter(1)) if gone]
+    words = [word for span in spans
+             for word in ([f"{span[0]} to {span[-1]}"] if len(span) > 2 else span)]
+    if more := len(words[_MOST_SPANS:]):
+        words = [*words[:_MOST_SPANS], f"and {more} more such"]
+    n = sum(missing)
+    return [f"{n} {thing}{'s' * (n != 1)} {why}, left out: {', '.join(words)}"] if n else []
+
+
+def below(folder: Path, file: Path, name: object, field: str) -> Path:
+    """The path that a file of a scan names, which lies below the scan's folder.
+
+    Raises:
+        OcnfError: it does not, or is none.
+    """
+    path = PurePosixPath(str(name).replace("\\", "/"))
+    if not isinstance(name, str) or path.is_absolute() or ".." in path.parts or "\0" in name:
+        raise OcnfError("not a path below the scan's folder", where=file, field=field, found=name,
+                        expected="a relative path without ..")
+    return folder / path

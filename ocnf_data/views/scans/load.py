@@ -12,22 +12,25 @@ import numpy as np
 
 from ocnf_data.arrays import F32, F64
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.memory import usable_memory
 from ocnf_data.views.cameras import Views, resized, same_shape
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.agreement import agreement, judge
 from ocnf_data.views.scans.images import image_size, read_depth
-from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole
+from ocnf_data.views.scans.listing import Frame, Listing, Said, check_pinhole, left_out
 from ocnf_data.views.scans.poses import to_camera
 from ocnf_data.views.scans.scan import Colour, Scan, to_metres
 from ocnf_data.views.scans.selection import choose
+from ocnf_data.views.scans.vertex_colour import colour_notes
 
 _MAX_FRAMES = 20_000
 _THREADS = 8  # decoding lets go of the interpreter's lock
-_MAX_BYTES = 2**34  # of depth as float32: 14,000 frames at 640x480
+_SHARE = 1 / 3  # of the memory for depth as float32: its pyramid takes as much again, a copy too
 
 
 def load(listing: Listing, where: object, format_name: str, frames: str | int | None = None, every: int = 1,
-         said: Said | None = None, report: Callable[[int, int], None] | None = None) -> Scan:
+         said: Said | None = None, report: Callable[[int, int], None] | None = None,
+         colour: bool = True) -> Scan:
     """The scan.
 
     Frames whose pose is not finite (the tracking was lost) are left out, by name, before frames are chosen.
@@ -40,6 +43,7 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
         every: take every n-th of these only.
         said: what the user says in place of the format's definition.
         report: told (frames read, frames in all) after each frame.
+        colour: whether the colour images are looked for.
 
     Raises:
         OcnfError: no frame that can be used, a pose that is not rigid, a depth map that is damaged or of
@@ -52,26 +56,28 @@ def load(listing: Listing, where: object, format_name: str, frames: str | int | 
     poses = np.stack([frame.pose for frame in chosen])
     names = [f"{frame.where}" if frame.name in frame.where.name else f"{frame.where}: {frame.name}"
              for frame in chosen]
-    R, T = to_camera(poses, names, said.direction or listing.direction, listing.axes, said.pose_scale)
+    axes = said.axes or listing.axes
+    R, T = to_camera(poses, names, said.direction or listing.direction, axes, said.pose_scale)
     unit = listing.unit if said.depth_scale is None else 1 / said.depth_scale
     depth = _crop(_read_depths(chosen, unit, where, report), said.crop, where)
     views = Views(depth, K, R, T)
-    found = agreement(views, listing.axes)
+    found = agreement(views, axes)
     warnings = tuple(judge(found, views, where))
-    colour, lacking = _colour(chosen, views)
+    coloured, lacking = _colour(chosen, views, listing.colour) if colour else (None, [])
     return Scan(views, tuple(frame.name for frame in chosen), listing.cube, (*listing.notes, *lacking),
-                colour, format_name, found, warnings)
+                coloured, format_name, found, warnings)
 
 
 def posed(listing: Listing, where: object) -> Listing:
-    """The frames whose pose is finite, with a note on each of the others.
+    """The frames whose pose is finite, with a note on the others.
 
     Raises:
         OcnfError: there are none (`empty`).
     """
-    found = tuple(frame for frame in listing.frames if np.isfinite(frame.pose).all())
-    notes = (*listing.notes, *(f"{frame.name}: the pose is not known (NaN or infinite), left out"
-                               for frame in listing.frames if not np.isfinite(frame.pose).all()))
+    lost = [not np.isfinite(frame.pose).all() for frame in listing.frames]
+    found = tuple(frame for frame, gone in zip(listing.frames, lost, strict=True) if not gone)
+    names = [frame.name for frame in listing.frames]
+    notes = (*listing.notes, *left_out("frame", "whose pose is not known (NaN or infinite)", names, lost))
     if not found:
         raise OcnfError("no frame can be used", code="empty", where=where, found="; ".join(notes) or None)
     return replace(listing, frames=found, notes=notes)
@@ -94,9 +100,13 @@ def _read_depths(frames: Sequence[Frame], unit: float, where: object,
                  report: Callable[[int, int], None] | None) -> F32:
     """(V, H, W) float32 metres, 0 where nothing was measured."""
     height, width = image_size(frames[0].depth)
-    if len(frames) > _MAX_FRAMES or height * width * 4 * len(frames) > _MAX_BYTES:
-        raise OcnfError("too many frames to hold in memory", code="too_large", where=where,
-                        found=f"{len(frames)} of {height}x{width}", fix="take fewer frames")
+    memory = usable_memory()
+    most = min(_MAX_FRAMES, int(_SHARE * memory) // (height * width * 4))
+    if len(frames) > most:
+        raise OcnfError("too many frames to hold in memory", code="too_large", where=where, field="frames",
+                        found=f"{len(frames)} of {width}x{height}",
+                        expected=f"at most {most} with the {memory / 1e9:,.1f} GB that may be used",
+                        fix=f"take {most} frames (--frames {most})" if most else None)
     depth = np.empty((len(frames), height, width), np.float32)
 
     def read(i: int) -> None:
@@ -129,10 +139,10 @@ def _crop(depth: F32, crop: tuple[int, int, int, int], where: object) -> F32:
     return depth
 
 
-def _colour(frames: Sequence[Frame], views: Views) -> tuple[Colour | None, list[str]]:
-    """The colour images, and a note where some that the scan names cannot be used: depth needs none."""
+def _colour(frames: Sequence[Frame], views: Views, known: str | None) -> tuple[Colour | None, list[str]]:
+    """The colour images, and notes: what is known of them, and which the scan names but cannot be used."""
     images: list[Path | None] = []
-    matrices, reasons = [], []
+    matrices, faults = [], []
     for frame, K in zip(frames, views.K, strict=True):
         image, own = frame.colour, frame.K_colour
         if image is not None:
@@ -143,10 +153,11 @@ def _colour(frames: Sequence[Frame], views: Views) -> tuple[Colour | None, list[
                                     found="{1}x{0}".format(*size), expected="{1}x{0}".format(*views.size))
                 own = resized(K, views.size, size) if own is None else own
             except OcnfError as error:
-                reasons.append(str(error))
+                faults.append(error)
                 image = None
         images.append(image)
         matrices.append(K if own is None else own)
-    notes = [f"{len(reasons)} of {len(frames)} frames are without their colour ({reasons[0]})"
-             ] if reasons else []
-    return Colour(images, np.stack(matrices)) if any(images) else None, notes
+    notes = colour_notes(faults, len(frames))
+    if not any(images):
+        return None, notes
+    return Colour(images, np.stack(matrices)), notes if known is None else [known, *notes]

@@ -1,11 +1,12 @@
 """Folders of Open3D and of Redwood (Choi et al. 2015): a depth folder, a trajectory, intrinsics.
 
-    depth/*.png             16 bits, millimetres; 0 is no measurement
+    depth/*.png             16 bits, millimetres unless told otherwise; 0 is no measurement
     color/ rgb/ image/      *.jpg or *.png, registered to the depth; may be missing
     *.log, *traj*.txt       for each frame a line of three numbers, then 4x4, camera to world, metres
     *.json                  or Open3D's PinholeCameraTrajectory: `extrinsic`, world to camera, by columns
     *intrinsic*.json        Open3D's PinholeCameraIntrinsic: `intrinsic_matrix` by columns, `width`, `height`;
-                            of several, the one that has `depth` in its name
+                            of several, the one that has `depth` in its name. `depth_scale`, units in a metre,
+                            stands beside it where Open3D has read a video of a camera
 
 All but the images may lie in the folder itself or in `scene/`. Poses and images belong together by their
 order, as in Open3D, so there has to be one pose for each depth map.
@@ -23,10 +24,12 @@ from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.scans.images import image_size
 from ocnf_data.views.scans.listing import (
+    MILLIMETRES,
     Direction,
     Frame,
     Listing,
     ScanFormat,
+    check_scale,
     names_in,
     numbered,
     own_intrinsics,
@@ -80,7 +83,7 @@ def _read(folder: Path, given: bool) -> Listing:
         K = own_intrinsics(partial(_fitting, depth, camera), given)
         frames.append(Frame(depth.stem, depth, pose, file, K, colour))
     direction = Direction.CAMERA_TO_WORLD if logs else Direction.WORLD_TO_CAMERA
-    return Listing(tuple(frames), direction=direction,
+    return Listing(tuple(frames), unit=_unit(folder, whole), direction=direction,
                    intrinsics="put Open3D's intrinsic .json beside the trajectory, or give them as "
                               "FX,FY,CX,CY (Redwood's data sets: 525,525,319.5,239.5)")
 
@@ -110,6 +113,17 @@ def _camera_list(file: Path, data: dict[str, Any], given: bool) -> tuple[list[F6
     own = [own_intrinsics(partial(_intrinsics, file, camera), given)
            for camera in found if isinstance(camera, dict)]
     return poses, own if len(own) == len(poses) else []
+
+
+def _unit(folder: Path, whole: list[tuple[Path, dict[str, Any]]]) -> float:
+    """Length in metres of a unit of depth: by `depth_scale` where a file has it, else a millimetre."""
+    said = {file: check_scale(data["depth_scale"], file, "depth_scale")
+            for file, data in whole if "depth_scale" in data}
+    if len(set(said.values())) > 1:
+        raise OcnfError("the files differ in their depth scale", where=folder,
+                        found=", ".join(f"{scale:g} ({file.name})" for file, scale in said.items()),
+                        fix="leave depth_scale in the file of the depth camera alone")
+    return 1 / next(iter(said.values())) if said else MILLIMETRES
 
 
 def _depth_camera(folder: Path, whole: list[tuple[Path, dict[str, Any]]]) -> _Camera | None:

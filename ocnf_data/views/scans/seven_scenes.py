@@ -6,7 +6,8 @@
     frame-NAME.color.png    or .jpg, where there is colour: taken as registered to the depth,
                             of its size or of the same shape
 
-7-Scenes itself comes without the intrinsics file; its description gives 585, 585, 320, 240.
+7-Scenes itself comes without the intrinsics file; its description gives 585, 585, 320, 240. Its colour is not
+registered to its depth: a note says so where there is colour.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def _read(folder: Path, given: bool) -> Listing:
         frames.append(Frame(stem, folder / (stem + _DEPTH), read_matrix(pose, 4, 4), pose, K, colour))
     return Listing(tuple(frames), notes=tuple(unmatched(depths, poses)),
                    intrinsics="put a .txt with `intrinsics` in its name, 3x3 numbers in pixels, beside the "
-                              "frames, or give them as FX,FY,CX,CY (7-Scenes: 585,585,320,240)")
+                              "frames, or give them as FX,FY,CX,CY (7-Scenes: 585,585,320,240)",
+                   colour="the colour images are taken as registered to the depth maps, which those of the "
+                          "published 7-Scenes are not: there colours lie beside what they belong to")
 
 
 def _stems(names: set[str], suffix: str) -> set[str]:

@@ -2,7 +2,7 @@
 
     fl_x fl_y cx cy w h     of the images, for all frames or in a frame of its own; camera_angle_x and
                             camera_angle_y stand in for what is missing, the images' size for w and h
-    frames[].file_path            the colour image
+    frames[].file_path            the colour image, perhaps without its suffix; may be missing
     frames[].depth_file_path      16-bit PNG in millimetres, or an NPY in millimetres; 0 is no measurement
     frames[].transform_matrix     4x4, camera to world, metres, OpenGL's axes (x right, y up, z backward)
 
@@ -14,7 +14,7 @@ at (0, 0): half a pixel is taken off. Lens distortion is not applied; a note say
 from __future__ import annotations
 
 import math
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,11 +24,21 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.views.cameras import resized, same_shape
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Axes, Frame, Listing, ScanFormat, own_intrinsics
+from ocnf_data.views.scans.listing import (
+    Axes,
+    Frame,
+    Listing,
+    ScanFormat,
+    below,
+    check_scale,
+    left_out,
+    own_intrinsics,
+)
 from ocnf_data.views.scans.text import json_array, read_json
 
 _FILE = "transforms.json"
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_SUFFIXES = (".png", ".jpg", ".jpeg")
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
@@ -42,35 +52,40 @@ def _read(folder: Path, given: bool) -> Listing:
     entries = data.get("frames")
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise OcnfError("not a list of frames", where=file, field="frames")
-    notes, frames = [], []
-    for i, entry in enumerate(entries):
-        if not entry.get("depth_file_path"):
-            notes.append(f"frames[{i}]: no depth_file_path, left out")
-            continue
-        frames.append(_frame(folder, file, data, entry, i, given))
+    notes = left_out("frame", "without depth_file_path", [f"frames[{i}]" for i in range(len(entries))],
+                     [not entry.get("depth_file_path") for entry in entries])
+    frames = [_frame(folder, file, data, entry, i, given) for i, entry in enumerate(entries)
+              if entry.get("depth_file_path")]
     if not frames:
         raise OcnfError("no frame has depth", code="empty", where=file, found=f"{len(entries)} frames",
                         expected="depth_file_path in each",
                         fix="capture with a depth camera (LiDAR), or convert with depth")
-    scale = data.get("applied_scale", 1.0)
+    scale = check_scale(data.get("applied_scale", 1.0), file, "applied_scale")
     if scale != 1.0:
-        notes.append(f"the file says that its poses were scaled by {scale} (applied_scale), so that they are "
-                     "not in metres: give the pose scale that undoes it")
+        undone = f"{1 / scale:.9g}"
+        notes.append(f"the file says that its poses were scaled by {scale:g} (applied_scale), so that they "
+                     f"are not in metres: the pose scale {undone} undoes it (--pose-scale {undone})")
     return Listing(tuple(frames), axes=Axes.OPENGL, notes=(*_distortion(data, entries), *notes),
                    intrinsics="fl_x, fl_y, cx and cy belong into transforms.json, or give FX,FY,CX,CY")
 
 
 def _frame(folder: Path, file: Path, data: dict[str, Any], entry: dict[str, Any], i: int,
            given: bool) -> Frame:
-    depth = _inside(folder, file, entry["depth_file_path"], f"frames[{i}].depth_file_path")
+    depth = below(folder, file, entry["depth_file_path"], f"frames[{i}].depth_file_path")
     pose = json_array(entry.get("transform_matrix"), (4, 4), file, f"frames[{i}].transform_matrix")
     colour = entry.get("file_path")
-    image = None if not colour else _inside(folder, file, colour, f"frames[{i}].file_path")
-    if image is not None and not image.is_file():  # the images are not needed, and often left behind
-        image = None
+    image = None if not colour else _image_file(below(folder, file, colour, f"frames[{i}].file_path"))
     K, K_colour = own_intrinsics(lambda: _intrinsics(file, {**data, **entry}, depth, image, i),
                                  given) or (None, None)
     return Frame(str(entry["depth_file_path"]), depth, pose, file, K, image, K_colour)
+
+
+def _image_file(named: Path) -> Path:
+    """The image of that name: Blender's scripts leave the suffix out."""
+    if named.is_file():
+        return named
+    whole = [named.with_name(named.name + suffix) for suffix in _SUFFIXES]
+    return next((file for file in whole if file.is_file()), named)
 
 
 def _intrinsics(file: Path, camera: dict[str, Any], depth: Path, image: Path | None,
@@ -128,14 +143,6 @@ def _readable(image: Path | None) -> tuple[int, int] | None:
         return None if image is None else image_size(image)
     except OcnfError:
         return None
-
-
-def _inside(folder: Path, file: Path, name: Any, field: str) -> Path:
-    path = PurePosixPath(str(name).replace("\\", "/"))
-    if not isinstance(name, str) or path.is_absolute() or ".." in path.parts or "\0" in name:
-        raise OcnfError("not a path below the scan's folder", where=file, field=field, found=name,
-                        expected="a relative path without ..")
-    return folder / path
 
 
 def _distortion(data: dict[str, Any], entries: list[dict[str, Any]]) -> list[str]:

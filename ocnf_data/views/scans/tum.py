@@ -23,7 +23,7 @@ from ocnf_data.arrays import F64
 from ocnf_data.errors import OcnfError
 from ocnf_data.views.rigs import intrinsics as pinhole
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, own_intrinsics
+from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, below, own_intrinsics
 from ocnf_data.views.scans.poses import quaternion_pose
 from ocnf_data.views.scans.text import numbers, read_table
 
@@ -87,7 +87,7 @@ def _images(folder: Path, name: str) -> tuple[list[float], list[Path]]:
             raise OcnfError("not a timestamp and a file", where=folder / name, field=f"line {line}",
                             found=" ".join(words), expected="two words, no commas")
         times += numbers(words[:1], folder / name, line)
-        files.append(folder / words[1])
+        files.append(below(folder, folder / name, words[1], f"line {line}"))
     return times, files
 
 

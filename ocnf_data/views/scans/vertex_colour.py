@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from numba import njit, prange
 
@@ -13,7 +15,8 @@ _NEAR_AN_EDGE = np.float32(0.05)  # weight of a view in which something nearer i
 _GREY = 128
 
 
-def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = None) -> tuple[U8, Bool]:
+def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = None,
+                   fault: Callable[[OcnfError], None] | None = None) -> tuple[U8, Bool]:
     """Red, green, blue (N, 3) uint8 of points on a surface, and which of them (N,) some frame sees.
 
     A frame sees a point where it measured a depth within `band` of the point's. Its colour is taken by
@@ -27,9 +30,10 @@ def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = N
         scan: a scan that has colour.
         band: metres, about the truncation that the points were fused with.
         normals: (N, 3) unit vectors of the surface, outwards; None: the angle does not count.
+        fault: told of each image that cannot be read, whose frame then has no colour; None: it is raised.
 
     Raises:
-        OcnfError: the scan has no colour, or an image of it cannot be read.
+        OcnfError: the scan has no colour, or, without `fault`, an image of it cannot be read.
     """
     colour = scan.colour
     if colour is None:
@@ -38,7 +42,13 @@ def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = N
     directions = np.zeros((0, 3)) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
     views, at = scan.views, np.ascontiguousarray(points, dtype=np.float64)
     for i in range(len(views)):
-        image = colour.image(i)
+        try:
+            image = colour.image(i)
+        except OcnfError as error:
+            if fault is None:
+                raise
+            fault(error)
+            continue
         if image is not None:
             _add_view(at, directions, views.depth[i], np.stack([views.K[i], colour.K[i]]),
                       np.column_stack([views.R[i], views.T[i]]), image, band, total)
@@ -51,6 +61,19 @@ def vertex_colours(points: F64, scan: Scan, band: float, normals: F64 | None = N
         _, nearest = cKDTree(at[seen]).query(at[~seen])
         mixed[~seen] = mixed[seen][nearest]
     return mixed, seen
+
+
+def colour_notes(faults: Sequence[OcnfError], n: int) -> list[str]:
+    """Sentences on the images that cannot be used, each with an example, of a scan of n frames."""
+    missing = [error.where for error in faults if error.code == "missing"]
+    others = [" ".join(str(error).split()) for error in faults if error.code != "missing"]
+    found = []
+    if missing:
+        found.append(f"{len(missing)} of {n} frames are without their colour: the images are not there "
+                     f"({missing[0]})")
+    if others:
+        found.append(f"{len(others)} of {n} frames are without their colour ({others[0]})")
+    return found
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -19,7 +19,15 @@ import numpy as np
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.strict_yaml import read_yaml
 from ocnf_data.views.scans.images import image_size
-from ocnf_data.views.scans.listing import Frame, Listing, ScanFormat, names_in, numbered, own_intrinsics
+from ocnf_data.views.scans.listing import (
+    Frame,
+    Listing,
+    ScanFormat,
+    below,
+    names_in,
+    numbered,
+    own_intrinsics,
+)
 from ocnf_data.views.scans.text import json_array
 
 _SCALED = 65536  # a value of this many units is `depth_scaling` metres
@@ -59,16 +67,14 @@ def _mapping(file: Path) -> dict[str, Any]:
 
 
 def _image(folder: Path, file: Path, data: dict[str, Any], field: str) -> Path | None:
-    name = data.get(field)
-    path = Path(str(name))
-    if not isinstance(name, str) or path.is_absolute() or ".." in path.parts:
+    try:
+        place = below(folder, file, data.get(field), field)
+        if field != "rgb":
+            image_size(place)
+    except OcnfError:
         if field == "rgb":
             return None
-        raise OcnfError("not a path below the scan's folder", where=file, field=field, found=name)
-    place = folder / path
-    if field == "rgb":
-        return place if place.is_file() else None
-    image_size(place)
+        raise
     return place
 
 

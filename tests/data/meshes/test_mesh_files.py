@@ -1,12 +1,14 @@
 """What is in a mesh file comes out of `read_mesh`, whatever defects real files have."""
 
 import hashlib
+import io
 import os
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -14,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 from ocnf_data.errors import OcnfError
 from ocnf_data.meshes import read_mesh
 from ocnf_data.meshes.writing import WRITERS
+from ocnf_data.shapes.primitives import ellipsoid
 
 TETRA_V = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4.5]])
 TETRA_F = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
@@ -202,6 +205,38 @@ def test_what_is_written_is_read(tmp_path, data, suffix):
     np.testing.assert_allclose(mesh.vertices[mesh.faces], vertices[faces], rtol=1e-11)
     if suffix != ".stl":
         np.testing.assert_array_equal(mesh.faces, faces)
+
+
+FAR = np.array([500_000.0, 4_000_000.0, 100.0])  # UTM, as georeferenced scans have it
+
+
+@pytest.mark.parametrize("shift", [FAR, -FAR, FAR * 1e-4])
+def test_glb_far_from_the_origin_keeps_its_shape(tmp_path, shift):
+    """Read by this package and by trimesh, whose scene has the node's place."""
+    part = ellipsoid(0.5, 0.4, 0.3, 40)
+    vertices = part.vertices + shift
+    data = WRITERS[".glb"](vertices, part.faces, np.full((len(vertices), 3), 7, np.uint8))
+    scene = trimesh.load(io.BytesIO(data), file_type="glb", process=False)
+    for found in (read(tmp_path, "x.glb", data).vertices, scene.to_geometry().vertices):
+        np.testing.assert_allclose(found, vertices, rtol=0, atol=1e-7)
+    near = WRITERS[".glb"](part.vertices + np.array([1.0, 2, 3]), part.faces)
+    assert b"translation" in data and b"translation" not in near
+
+
+def test_stl_refuses_what_float32_would_deform(tmp_path):
+    part = ellipsoid(0.5, 0.4, 0.3, 40)
+    ends = part.vertices[part.faces[:, :2]]
+    edge = np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+    for far in (0.0, 10.0, 1e3, 1e4, 1e5, 1e6):
+        vertices = part.vertices + np.array([far, 0, 0])
+        if np.spacing(np.float32(far + 1)) > edge / 4:
+            with pytest.raises(OcnfError, match=r"STL: .* too few this far .* Write .ply, .obj or .glb"):
+                WRITERS[".stl"](vertices, part.faces)
+        elif np.spacing(np.float32(far + 1)) < edge / 16:
+            mesh = read(tmp_path, "x.stl", WRITERS[".stl"](vertices, part.faces))
+            np.testing.assert_allclose(mesh.vertices[mesh.faces], vertices[part.faces], atol=edge / 16)
+    with pytest.raises(OcnfError, match="STL"):
+        WRITERS[".stl"](part.vertices + FAR, part.faces)
 
 
 def test_unreferenced_vertices_stay_and_do_not_count(tmp_path):

@@ -12,8 +12,9 @@ import pytest
 
 from ocnf_data import generate
 from ocnf_data.errors import OcnfError
+from ocnf_data.manifest import Manifest
 from ocnf_data.sequences.frames import FrameSequence
-from ocnf_data.views.scans.listing import Said
+from ocnf_data.views.scans.listing import Axes, Said
 
 from .conftest import sequence_manifest
 
@@ -46,6 +47,21 @@ def test_intrinsics_that_are_none_are_refused_when_the_scan_is_listed(captured, 
                                  configurations={"train": 1}, reading={})
     with pytest.raises(OcnfError, match="not a pinhole's intrinsics"):
         generate(manifest, tmp_path / "set", folder.parent, progress=False)
+
+
+def test_axes_of_the_users_count_where_they_are_not_the_formats(captured, tmp_path: Path) -> None:
+    folder = captured()
+    usual, same, other = (FrameSequence.open(folder, said=Said(axes=axes))
+                          for axes in (None, Axes.OPENGL, Axes.OPENCV))
+    assert usual.checksum() == same.checksum() != other.checksum()
+    assert np.allclose(usual.read().views.R, np.diag([1, -1, -1]))
+    assert np.allclose(other.read().views.R, np.eye(3))
+    plain, said = (sequence_manifest(configurations={"train": 1}, reading=reading)
+                   for reading in ({}, {"axes": "opencv"}))
+    assert "axes" not in plain.to_dict()["source"]["reading"]  # what data sets begun before say
+    assert said.to_dict()["source"]["reading"]["axes"] == "opencv"
+    again = Manifest.from_dict(said.to_dict())
+    assert again == said != plain and again.source.reading.said.axes is Axes.OPENCV
 
 
 def test_intrinsics_of_the_users_stand_in_for_them(captured) -> None:

@@ -179,7 +179,8 @@ def test_frames_that_are_left_out_and_poses_that_look_wrong_are_said(scans: Path
     np.savetxt(lost, np.full((4, 4), np.nan))
     manifest = sequence_manifest(configurations={"test": 1})
     report = generate(manifest, tmp_path / "set", root, progress=False)
-    assert report.warnings == ("long: frame-000002: the pose is not known (NaN or infinite), left out",)
+    assert report.warnings == (
+        "long: 1 frame whose pose is not known (NaN or infinite), left out: frame-000002",)
     sample = samples(tmp_path / "set")["long-test-0000"]
     assert sample.facts["scan"]["frames"] == 11
     turned = sequence_manifest(configurations={"test": 1},

@@ -23,8 +23,7 @@ def views() -> Views:
 
 def remember(monkeypatch: pytest.MonkeyPatch, gigabytes: float) -> None:
     """A machine of so much memory."""
-    sizes = {"SC_PHYS_PAGES": int(gigabytes * 1e9 / 4096), "SC_PAGE_SIZE": 4096}
-    monkeypatch.setattr(budget.os, "sysconf", sizes.__getitem__)
+    monkeypatch.setattr(budget, "usable_memory", lambda: int(gigabytes * 1e9))
 
 
 @pytest.mark.parametrize("length", [0.78, 0.404, 0.7547, 0.43, 0.4, 0.7999, 8.0])

@@ -21,6 +21,7 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.fusion import DepthPyramid, fuse_histogram
 from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Scan, read_scan
+from ocnf_data.views.scans.vertex_colour import vertex_colours
 from ocnf_model import OctNetFusion, OctreeBatch
 from ocnf_model.scan.fuse import fuse_scan
 from ocnf_model.scan.fusers import Baseline, Learned
@@ -192,7 +193,7 @@ def test_a_warning_is_printed_before_what_it_explains_fails(scan: Path, tmp_path
     with pytest.raises(OcnfError, match="no surface was found"):
         run_fuse(str(scan), Asked(tmp_path / "mesh.ply", methods=["volfus"], box=BOX, resolution=32,
                                   reading={"pose_scale": 30.0}), console)
-    assert "Note: neighbouring frames hardly overlap" in console.export_text()
+    assert "Warning: neighbouring frames hardly overlap" in console.export_text()
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
@@ -215,6 +216,32 @@ def test_colour_reaches_the_vertices_of_the_file(scan: Path, tmp_path: Path, suf
     assert len(colours) == len(mesh.vertices)
     scale = 1 if colours.dtype == np.uint8 else 257
     np.testing.assert_allclose(colours[:, :3] / scale, np.tile(expected, (len(colours), 1)), atol=0.5)
+
+
+def test_an_image_that_is_damaged_costs_its_frame_its_colour_and_nothing_else(scan: Path,
+                                                                              tmp_path: Path) -> None:
+    folder = tmp_path / "coloured"
+    shutil.copytree(scan, folder)
+    depths = sorted(folder.glob("*.depth.png"))
+    rng = np.random.default_rng(0)
+    for file in depths:
+        cv2.imwrite(str(file).replace(".depth.", ".color."), rng.integers(0, 256, (240, 320, 3), np.uint8))
+    damaged = [Path(str(file).replace(".depth.", ".color.")) for file in depths]
+    asked = Asked(tmp_path / "mesh.ply", methods=["volfus,tvl1"], box=BOX, resolution=32)
+    for n in (1, len(depths)):
+        for file in damaged[:n]:
+            file.write_bytes(file.read_bytes()[:2000])
+        console = Console(record=True, width=400, file=io.StringIO())
+        meshes = run_fuse(str(folder), asked, console)
+        said = f"{n} of {len(depths)} frames are without their colour ({damaged[0]}: the PNG is cut off"
+        assert console.export_text().count(f"Note: {said}") == 1
+        for mesh in meshes:
+            assert any(note.startswith(said) for note in mesh.notes)
+            assert (mesh.colours is None) == (n == len(depths))
+            assert len(trimesh.load(tmp_path / f"mesh-{mesh.method}.ply").faces) == len(mesh.faces)
+    read = read_scan(folder)
+    with pytest.raises(OcnfError, match="cut off or damaged"):
+        vertex_colours(meshes[0].vertices, read, 0.01)
 
 
 def _linear(colour: list[int]) -> list[int]:

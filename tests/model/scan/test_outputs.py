@@ -17,10 +17,15 @@ import numpy as np
 import pytest
 import trimesh
 from rich.console import Console
+from typer.main import get_command
+from typer.testing import CliRunner
 
 from ocnf_data import GridOctree, octree_surface
 from ocnf_data.errors import OcnfError
+from ocnf_data.meshes import read_mesh
+from ocnf_data.views.cameras import Views
 from ocnf_data.views.scans import Colour, read_scan
+from ocnf_model.cli import app
 from ocnf_model.scan.run import Asked, run_fuse
 from ocnf_model.scan.stages import StageLog
 
@@ -107,6 +112,23 @@ def test_a_dense_tsdf_that_is_too_large_is_refused_before_anything_is_fused(
         fuse(scan, tmp_path / "mesh.ply", tsdf=tmp_path / "tsdf.npz", preview=tmp_path / "box.png",
              reading={"frames": 2}, **asked)
     assert refused.value.code == "too_large" and not list(tmp_path.iterdir())
+
+
+def test_a_georeferenced_scan_keeps_its_shape_or_is_refused_before_it_is_fused(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shift = np.array([500_000.0, 4_000_000.0, 100.0])
+    read = read_scan(scan, every=2)
+    views = Views(read.views.depth, read.views.K, read.views.R, read.views.T - read.views.R @ shift)
+    monkeypatch.setattr("ocnf_model.scan.run.read_scan", lambda *_, **__: replace(read, views=views))
+    box = (*np.add(BOX[:3], shift), *np.add(BOX[3:], shift))
+    fuse(scan, tmp_path / "mesh.glb", box=box)
+    vertices = read_mesh(tmp_path / "mesh.glb").vertices
+    off = np.abs(np.linalg.norm(vertices - shift - (0.7, -1.2, 2.5), axis=1) - 0.2)
+    assert len(vertices) > 1000 and off.max() < 0.48 / 32
+    monkeypatch.setattr("ocnf_model.scan.run.reconstruct", lambda *_, **__: pytest.fail("it was fused"))
+    with pytest.raises(OcnfError, match=r"^STL: .*steps of 0.25 at 3999999"):
+        fuse(scan, tmp_path / "mesh.stl", box=box)
+    assert [path.name for path in tmp_path.iterdir()] == ["mesh.glb"]
 
 
 def test_a_write_that_fails_leaves_nothing_behind(scan: Path, tmp_path: Path,
@@ -197,8 +219,40 @@ def test_a_second_box_is_refused(scan: Path, tmp_path: Path) -> None:
                            "--out", str(tmp_path / "mesh.ply")], capture_output=True, text=True,
                           env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
     assert done.returncode == 1
-    assert done.stderr.startswith("error: --box: given more than once; found 2 boxes")
+    assert done.stderr.startswith("error: --box: given more than once; found 2 times")
     assert not list(tmp_path.iterdir())
+
+
+def test_every_option_of_one_value_is_refused_the_second_time_however_it_is_spelt(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what takes several, or none, is not."""
+    monkeypatch.setattr("ocnf_model.scan.run.run_fuse", lambda *_: None)
+    command = get_command(app).commands["fuse"]
+    values = {"every": "1", "faces": "9", "resolution": "64", "box": "1", "crop": "1,1,1,1",
+              "intrinsics": "1,1,1,1"}
+    checked = set()
+    for option in command.params:
+        if option.param_type_name != "option" or option.is_flag or option.name == "help":
+            continue
+        name, value = option.opts[0], [values.get(option.name, "1")] * option.nargs
+        apart, joined = [name, *value], [f"{name}={value[0]}", *value[1:]]
+        for first, second in ((apart, apart), (apart, joined), (joined, apart), (joined, joined)):
+            done = CliRunner().invoke(app, ["fuse", "RUN", *first, "SCAN", *second, "--room", "--room"])
+            if option.multiple:
+                assert done.exit_code == 0, done.output
+            else:
+                assert str(done.exception).startswith(f"{name}: given more than once; found 2 times")
+        assert CliRunner().invoke(app, ["fuse", "RUN", "SCAN", *joined, "--room", "--room"]).exit_code == 0
+        checked.add(name)
+    assert {"--box", "--frames", "--voxel", "--out", "--method", "--axes"} <= checked
+
+
+def test_axes_and_colour_of_the_command_line_reach_the_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    monkeypatch.setattr("ocnf_model.scan.run.run_fuse", lambda scan, asked, *_: found.append(asked.reading))
+    for more in ([], ["--axes", "opengl", "--no-colour"]):
+        assert CliRunner().invoke(app, ["fuse", "RUN", "SCAN", *more]).exit_code == 0
+    assert [(reading["axes"], reading["colour"]) for reading in found] == [(None, True), ("opengl", False)]
 
 
 def test_what_lies_far_is_not_used_where_that_is_asked(scan: Path) -> None:

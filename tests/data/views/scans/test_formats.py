@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import re
 import shutil
 import struct
 import zlib
@@ -14,7 +16,7 @@ import numpy as np
 import pytest
 
 from ocnf_data.errors import OcnfError
-from ocnf_data.views.scans import SCAN_FORMATS, Scan, read_scan
+from ocnf_data.views.scans import SCAN_FORMATS, Scan, list_scan, read_scan
 
 ALL = ["7scenes", "tum", "open3d", "open3d-json", "transforms", "scannet", "voxlets"]
 Write = Callable[[str], Path]
@@ -84,7 +86,34 @@ def test_numbers_in_names_count_as_numbers(write: Write) -> None:
 
 
 def test_lost_tracking_is_left_out_by_name(write: Write) -> None:
-    assert read_scan(write("scannet")).notes == ("100: the pose is not known (NaN or infinite), left out",)
+    assert read_scan(write("scannet")).notes == (
+        "1 frame whose pose is not known (NaN or infinite), left out: 100",)
+
+
+def test_many_frames_that_are_left_out_are_one_line(write: Write) -> None:
+    folder = write("scannet")
+    for i in [*range(105, 400, 5), 500]:
+        np.savetxt(folder / f"pose/{i}.txt", np.full((4, 4), np.nan))
+        shutil.copy(folder / "depth/0.png", folder / f"depth/{i}.png")
+    for i in (600, 607, 608):
+        shutil.copy(folder / "depth/0.png", folder / f"depth/{i}.png")
+        np.savetxt(folder / f"pose/{1000 - i}.txt", np.eye(4))
+    assert read_scan(folder).notes == (
+        "3 depth maps without a pose, left out: 600 to 608",
+        "3 poses without a depth map, left out: 392, 393, 400",
+        "61 frames whose pose is not known (NaN or infinite), left out: 100 to 500")
+    np.savetxt(folder / "pose/200.txt", np.eye(4))
+    assert read_scan(folder).notes[-1] == (
+        "60 frames whose pose is not known (NaN or infinite), left out: 100 to 195, 205 to 500")
+    for i in range(110, 400, 20):
+        np.savetxt(folder / f"pose/{i}.txt", np.eye(4))
+    note = read_scan(folder).notes[-1]
+    assert note.startswith("45 frames") and "left out: 100, 105, 115 to 125, 135 to" in note
+    assert note.endswith(" 275 to 285, and 7 more such")
+    folder = write("transforms")
+    _json("transforms.json", lambda d: [d["frames"][i].pop("depth_file_path") for i in (0, 2, 3, 4)])(folder)
+    assert read_scan(folder).notes == (
+        "4 frames without depth_file_path, left out: frames[0], frames[2] to frames[4]",)
 
 
 def test_what_the_user_says_wins(scene, write: Write) -> None:
@@ -100,6 +129,61 @@ def test_what_the_user_says_wins(scene, write: Write) -> None:
     with pytest.raises(OcnfError, match=r"does not say its intrinsics.*FX,FY,CX,CY"):
         read_scan(folder)
     assert read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).warnings == ()
+
+
+@pytest.mark.parametrize("name", ["open3d", "open3d-json"])
+def test_the_depth_scale_that_open3d_writes_holds_unless_the_user_says_another(scene, write: Write,
+                                                                               name: str) -> None:
+    folder = write(name)
+    for i in range(5):
+        cv2.imwrite(str(folder / f"depth/{i + 1}.png"), scene.stored(i, 4000))
+    if not (folder / "intrinsic.json").exists():
+        (folder / "intrinsic.json").write_text("{}")
+    _json("intrinsic.json", lambda d: d.update(depth_scale=4000, device_name="Intel RealSense L515"))(folder)
+    scan = read_scan(folder)
+    np.testing.assert_allclose(scan.views.depth, scene.depth, atol=0.5 / 4000 + 1e-6)
+    assert scan.warnings == ()
+    np.testing.assert_array_equal(read_scan(folder, intrinsics=(55, 56, 31.2, 23.4)).views.depth,
+                                  scan.views.depth)
+    np.testing.assert_allclose(read_scan(folder, depth_scale=8000).views.depth, scan.views.depth / 2)
+    (folder / "color_intrinsic.json").write_text('{"depth_scale": 1000}')
+    with pytest.raises(OcnfError, match=r"differ in their depth scale; found 1000 \(color_.*, 4000 \(intr"):
+        read_scan(folder)
+    for value in (0, -1, None, "4000", True, [4000], float("nan"), float("inf"), 10**400, 1e-320):
+        (folder / "color_intrinsic.json").write_text(json.dumps({"depth_scale": value}))
+        with pytest.raises(OcnfError, match=r"color_intrinsic.json: depth_scale: not a scale"):
+            read_scan(folder)
+
+
+def test_a_capture_that_was_scaled_says_what_undoes_it(scene, write: Write) -> None:
+    folder = write("transforms")
+    scaled = scene.poses.copy()
+    scaled[:, :3, 3] *= 0.3
+    _json("transforms.json", lambda d: d.update(applied_scale=0.3, frames=[
+        {**frame, "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()}
+        for frame, pose in zip(d["frames"], scaled, strict=True)]))(folder)
+    note = next(note for note in read_scan(folder).notes if "applied_scale" in note)
+    scale = float(note.split("--pose-scale ")[1].rstrip(")"))
+    np.testing.assert_allclose(to_world(read_scan(folder, pose_scale=scale)), scene.poses, atol=1e-8)
+    for value in (None, "x", 0, -2, False, float("nan"), 10**400):
+        _json("transforms.json", lambda d, value=value: d.update(applied_scale=value))(folder)
+        with pytest.raises(OcnfError, match=r"transforms.json: applied_scale: not a scale"):
+            read_scan(folder)
+
+
+@pytest.mark.parametrize(("name", "axes"), [("7scenes", "opengl"), ("transforms", "opencv")])
+def test_axes_of_the_users_win(scene, write: Write, name: str, axes: str) -> None:
+    """The poses are written with the axes that the format does not have."""
+    folder, flip = write(name), np.diag([1.0, -1, -1, 1])
+    for i, pose in enumerate(scene.poses):
+        if name == "7scenes":
+            np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose @ flip)
+    _json("transforms.json", lambda d: [frame.update(transform_matrix=pose.tolist()) for frame, pose in zip(
+        d["frames"], scene.poses, strict=True)])(folder) if name == "transforms" else None
+    scan = read_scan(folder, axes=axes)
+    np.testing.assert_allclose(to_world(scan), scene.poses, atol=1e-8)
+    assert scan.warnings == () and scan.agreement.share > 0.8
+    assert read_scan(folder).agreement.share < 0.6
 
 
 def test_tums_own_intrinsics_are_taken_for_its_own_size_only_and_said(write: Write) -> None:
@@ -185,7 +269,8 @@ SPOILT = [
     ("open3d", _edit("scene/trajectory.log", lambda t: t.replace("0 0 1", "0, 0, 1")), "line 1: not a file"),
     ("open3d", _edit("scene/trajectory.log", lambda t: t[:-60]), "not a trajectory log"),
     # a trajectory in millimetres
-    ("open3d", _edit("scene/trajectory.log", _scale_log), "look like millimetres.*pose scale 0.001"),
+    ("open3d", _edit("scene/trajectory.log", _scale_log),
+     "look like millimetres.*pose scale 0.001.*--pose-scale 0.001"),
     # not finite, not rigid
     ("scannet", _edit("pose/5.txt", lambda t: "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1"),
      "5.txt: R.*not a rotation"),
@@ -210,6 +295,15 @@ SPOILT = [
     ("voxlets", _cut("frames/00002.pgm"), "cut off"),
     ("voxlets", _header("frames/00002.pgm", b"no picture"), "not a known image"),
     ("tum", _cut("depth/1305031102.160000.png"), "cut off or damaged"),
+    # files elsewhere
+    ("tum", _edit("depth.txt", lambda t: t.replace(" depth/", " ../tum/depth/")),
+     r"depth.txt: line 3: not a path below the scan's folder; found \.\./tum/depth"),
+    ("tum", _edit("rgb.txt", lambda t: t.replace(" rgb/", " /rgb/")),
+     r"rgb.txt: line 1: not a path below the scan's folder; found /rgb"),
+    ("voxlets", _edit("poses/000001.yaml", lambda t: t.replace("image: ", "image: ../voxlets/")),
+     "000001.yaml: image: not a path below the scan's folder"),
+    ("transforms", _json("transforms.json", lambda d: d["frames"][1].update(file_path="..\\a.png")),
+     r"frames\[1\].file_path: not a path below the scan's folder"),
     # YAML with tags that would run code
     ("voxlets", _edit("poses/000001.yaml", lambda t: t + "x: !!python/object/apply:os.system ['false']\n"),
      "000001.yaml.*not valid YAML.*os.system"),
@@ -339,7 +433,7 @@ def test_colour_larger_than_depth_has_the_depths_intrinsics_scaled(scene, write:
     cv2.imwrite(str(folder / "frame-000004.color.png"), np.zeros((60, 60, 3), np.uint8))
     scan = read_scan(folder)
     np.testing.assert_allclose(scan.colour.K[0], [[110, 0, 62.9], [0, 112, 47.3], [0, 0, 1]])
-    assert scan.colour.image(4) is None and "1 of 5 frames are without their colour" in scan.notes[0]
+    assert scan.colour.image(4) is None and "1 of 5 frames are without their colour" in scan.notes[1]
 
 
 def test_of_several_files_of_intrinsics_the_depths_holds(write: Write) -> None:
@@ -401,6 +495,42 @@ def test_tum_takes_what_follows_the_intrinsics_and_misses_no_image(write: Write)
     assert "5 numbers after" in scan.notes[0] and "without their colour" in scan.notes[1]
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".jpeg"])
+def test_images_of_a_capture_may_be_named_without_their_suffix(write: Write, suffix: str) -> None:
+    folder = write("transforms")
+    for file in (folder / "images").iterdir():
+        file.rename(file.with_suffix(suffix))
+    _json("transforms.json", lambda d: [frame.update(file_path=frame["file_path"].removesuffix(".png"))
+                                        for frame in d["frames"]])(folder)
+    scan = read_scan(folder)
+    assert scan.notes == () and [scan.colour.image(i).shape for i in range(5)] == [(96, 128, 3)] * 5
+
+
+@pytest.mark.parametrize(("name", "images"), [("transforms", "images/*.png"), ("voxlets", "frames/*.ppm"),
+                                              ("tum", "rgb/*.png")])
+def test_images_that_are_not_there_are_counted(write: Write, name: str, images: str) -> None:
+    folder = write(name)
+    files = sorted(folder.glob(images))
+    files[1].unlink()
+    scan = read_scan(folder)
+    assert scan.colour.image(1) is None and scan.colour.image(2) is not None
+    assert scan.notes == (
+        f"1 of 5 frames are without their colour: the images are not there ({files[1]})",)
+    for file in files[:1] + files[2:]:
+        file.unlink()
+    scan = read_scan(folder)
+    assert scan.colour is None and scan.notes[0].startswith("5 of 5 frames are without their colour")
+    assert read_scan(folder, colour=False).notes == ()
+
+
+def test_colour_that_is_not_registered_is_said(write: Write) -> None:
+    folder = write("7scenes")
+    note, = read_scan(folder).notes
+    assert "the published 7-Scenes are not" in note
+    plain = read_scan(folder, colour=False)
+    assert plain.colour is None and plain.notes == ()
+
+
 def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
     folder = write("7scenes")
     for suffix in ("depth.png", "pose.txt"):
@@ -419,9 +549,36 @@ def test_frames_are_in_the_order_of_their_numbers(write: Write) -> None:
     ({"intrinsics": (1, 2, 3)}, "intrinsics: not intrinsics.*four numbers"),
     ({"pose_scale": "0.001"}, "pose_scale: not a scale"),
     ({"depth_scale": "1000"}, "depth_scale: not a scale"),
+    ({"depth_scale": True}, "depth_scale: not a scale"),
+    ({"axes": "blender"}, "axes: not a convention of axes; found blender, expected opencv or opengl"),
     ({"crop": ("1", "2", "3", "4")}, "crop: not a crop"), ({"crop": 3}, "crop: not a crop"),
 ])
 def test_an_argument_of_another_kind_is_refused_by_name(write: Write, asked: dict, message: str) -> None:
     with pytest.raises(OcnfError, match=message) as refused:
         read_scan(write("7scenes"), **asked)
     assert len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize("place", ["", 5, None, b"scan", ["scan"]])
+def test_what_is_no_path_is_refused(place: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty one would be the working directory."""
+    monkeypatch.chdir(tmp_path)
+    for read in (read_scan, list_scan):
+        with pytest.raises(OcnfError, match=r"place: not a path; found .*, expected a scan's folder"):
+            read(place)
+
+
+@pytest.mark.parametrize("fitting", [1, 3, 4])
+def test_as_many_frames_are_named_as_fit_into_memory(write: Write, monkeypatch: pytest.MonkeyPatch,
+                                                     fitting: int) -> None:
+    folder = write("7scenes")
+    load = importlib.import_module("ocnf_data.views.scans.load")  # the package has a function of this name
+    monkeypatch.setattr(load, "usable_memory", lambda: 3 * fitting * 48 * 64 * 4 + 100)
+    with pytest.raises(OcnfError, match="frames: too many frames to hold in memory; found 5 of 64x48") as no:
+        read_scan(folder)
+    assert no.value.code == "too_large"
+    named = re.search(r"--frames (\d+)\)\.$", str(no.value))[1]
+    assert int(named) == fitting and len(read_scan(folder, frames=named).views) == fitting
+    monkeypatch.setattr(load, "usable_memory", lambda: 100)
+    with pytest.raises(OcnfError, match=r"expected at most 0 with the 0\.0 GB that may be used$"):
+        read_scan(folder)
