@@ -108,7 +108,9 @@ def run_complete_frame(run: str, scan: str, out: Path, *, frame: str | None = No
     console = console or Console(emoji=False)
     check_target(out, _SUFFIXES)
     network = CompletionNetwork(run, device)
-    read = read_scan(scan)
+    read = read_scan(scan, colour=False)
+    for warning in read.warnings:
+        console.print(f"Warning: {warning}", highlight=False, markup=False)
     number = _number(frame, read.names, scan)
     done = complete_view(network, read.views.subset([number]), f"{scan}: {read.names[number]}")
     done.save(out)

@@ -130,12 +130,13 @@ def judge(found: Agreement, views: Views, where: object) -> list[str]:
     if doubtful and found.inverse >= _SURE and found.inverse > np.nan_to_num(found.share) + _BETTER:
         return [f"the poses may be meant the other way round: {found}"]
     if doubtful and found.flipped >= _SURE and found.flipped > np.nan_to_num(found.share) + _BETTER:
-        return [f"the axes of the cameras may be those of another convention (OpenCV's, OpenGL's): {found}, "
-                f"{_percent(found.flipped)} with y and z reversed"]
+        return [f"the axes of the cameras may be those of the other convention (opencv, opengl): {found}, "
+                f"{_percent(found.flipped)} with y and z reversed; say which with --axes, or axes="]
     if found.factor != 1:
         return ["the scale of the depth or of the poses may be wrong: "
                 f"{_percent(found.share)} of the depths agree as read, {_percent(found.scaled)} "
-                f"if depth were {found.factor:g} times as large, or translations {1 / found.factor:g} times"]
+                f"if depth were {found.factor:g} times as large, or translations {1 / found.factor:g} times; "
+                "check the depth scale and the pose scale"]
     if found.compared < _ENOUGH:
         figures = f"{found.compared} depths could be compared; {found}" if found.compared else str(found)
         return [f"neighbouring frames hardly overlap ({figures}), so that nothing confirms the direction of "

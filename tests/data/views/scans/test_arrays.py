@@ -129,7 +129,7 @@ def test_depth_of_another_unit_is_noticed_and_the_factor_named(factor: float, sc
 
 def test_axes_of_the_other_convention_are_noticed(scene) -> None:
     (warning,) = Scan.from_arrays(scene.depth, K, scene.poses, axes="opengl").warnings
-    assert "axes of the cameras may be those of another convention" in warning
+    assert "axes of the cameras may be those of the other convention" in warning
     assert "with y and z reversed" in warning
     right = Scan.from_arrays(scene.depth, K, scene.poses @ FLIP, axes="opengl")
     assert right.warnings == () and right.agreement.flipped < 0.5
