@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from ocnf_data.arrays import Bool
+from ocnf_data.errors import OcnfError
 from ocnf_data.files.storage import Store
 from ocnf_data.files.targets import check_file
 from ocnf_data.terminal import narrow_table
@@ -91,6 +92,9 @@ def _complete(frame: VoxletsFrame, methods: Mapping[str, Completion],
               rows: list[FrameRow]) -> dict[str, Bool]:
     scene = frame.read()
     judged = Visible.of(scene.view, scene.shape, scene.voxel).judged
+    if not (judged & scene.known).any():
+        raise OcnfError("the frame looks at no voxel that is known", code="empty", where=frame.name,
+                        fix="check shape and voxelsize in tsdf_meta.yaml, and the frame's pose")
     found = {}
     for name, method in methods.items():
         began = time.monotonic()

@@ -106,7 +106,7 @@ def read_truth(scene: Path) -> tuple[F32, float]:
     """((D, H, W) float32 TSDF in metres, NaN unknown; edge length of a voxel in metres) of a scene's folder.
 
     Raises:
-        OcnfError: a file is missing, or does not fit the other.
+        OcnfError: a file is missing, or does not fit the other; nothing is known (`empty`).
     """
     meta = scene / "tsdf_meta.yaml"
     data = read_yaml(meta, tuples=True)
@@ -125,4 +125,7 @@ def read_truth(scene: Path) -> tuple[F32, float]:
         raise OcnfError("the volume has another size", code="damaged", where=file,
                         found=f"{len(raw)} bytes", expected=f"{2 * math.prod(shape)} of float16 {shape}")
     tsdf = np.frombuffer(raw, "<f2").reshape(shape).transpose(2, 1, 0)  # (X, Y, Z) -> (D, H, W)
+    if np.isnan(tsdf).all():
+        raise OcnfError("nothing of the scene is known", code="empty", where=file, found="NaN everywhere",
+                        expected="metres to the surface")
     return np.ascontiguousarray(tsdf, dtype=np.float32), float(voxel)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from ocnf_model.completion import data as data_module
 from ocnf_model.completion import forest as forest_module
 from ocnf_model.completion import sample as sample_module
 from ocnf_model.completion.data import CompletionData, held_out
+from ocnf_model.completion.evaluate import run_completion_evaluation
 from ocnf_model.completion.forest import StructuredForest
 from ocnf_model.completion.predict import CompletionNetwork, read_threshold
 from ocnf_model.completion.sample import FrameSample
@@ -97,6 +99,20 @@ def test_frames_come_back_as_they_were_written(voxlets: Path, tabletop: Callable
     (voxlets / "fold_0/copy/tsdf.dat").write_bytes(bytes(47))
     with pytest.raises(OcnfError, match="another size"):
         read_truth(voxlets / "fold_0/copy")
+    (voxlets / "fold_0/copy/tsdf.dat").write_bytes(np.full(24, np.nan, "<f2").tobytes())
+    with pytest.raises(OcnfError, match="nothing of the scene is known"):
+        read_truth(voxlets / "fold_0/copy")
+
+
+def test_a_frame_that_looks_past_the_volume_is_no_row_of_the_table(voxlets: Path, tmp_path: Path) -> None:
+    shutil.copytree(voxlets, tmp_path / "set")
+    pose = np.eye(4)
+    pose[:3, 3] = 50.0
+    for file in (tmp_path / "set/fold_1").glob("*/poses/*.yaml"):
+        fields = yaml.safe_load(file.read_text())
+        file.write_text(yaml.safe_dump({**fields, "pose": pose.reshape(-1).tolist()}))
+    with pytest.raises(OcnfError, match=f"fold_1/saved_{SCENES}/{SCENES}: the frame looks at no voxel"):
+        run_completion_evaluation(None, str(tmp_path / "set"), out=tmp_path / "out", forest=False, figures=0)
 
 
 def test_whole_scenes_are_held_out(voxlets: Path) -> None:
