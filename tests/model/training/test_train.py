@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -255,3 +256,20 @@ def test_the_command_line_trains(tiny, out) -> None:
     assert load_run(out).channels == (2, 2, 2)
     result = CliRunner().invoke(app, [*arguments, "--seed", "3"])
     assert isinstance(result.exception, OcnfError) and result.exception.field == "seed"
+
+
+def test_a_damaged_sample_is_named_alike_with_and_without_workers(tiny, small, tmp_path) -> None:
+    damaged = shutil.copytree(tiny, tmp_path / "set")
+    for tar in (damaged / "train").glob("*.tar"):
+        content = bytearray(tar.read_bytes())
+        content[1024 + 4] ^= 1  # in the first payload
+        tar.write_bytes(content)
+    found = []
+    for workers in (0, 1):
+        settings = small(stages=[{"epochs": 1, "batch_size": 1, "accumulate": 1}], levels=1, workers=workers)
+        with pytest.raises(OcnfError) as caught:
+            train(str(damaged), tmp_path / f"run{workers}", settings, device="cpu")
+        found.append(caught.value)
+    alone, ours = found
+    assert alone.code == "checksum" and alone.where.endswith(".tar") and alone.field
+    assert vars(ours) == vars(alone) and str(ours) == str(alone)
