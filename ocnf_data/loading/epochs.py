@@ -97,7 +97,7 @@ class EpochDataset(IterableDataset[Batch]):
 
     def set_epoch(self, epoch: int) -> None:
         """Let the next `iter` begin this epoch; a state just loaded that lies in it keeps its place."""
-        epoch = whole("epoch", epoch, least=0)
+        epoch = whole("epoch", epoch, least=0, where=type(self).__name__)
         position, resumed = self._cursor.peek()
         if not (resumed and position.epoch == epoch):
             self._cursor.set(Position(epoch, 0))
@@ -134,9 +134,9 @@ def _of_worker(batches: Iterator[Batch]) -> Iterator[Batch]:
         yield from batches
 
 
-def place_in_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
+def place_in_world(rank: int | None, world_size: int | None, where: str = "ShardDataset") -> tuple[int, int]:
     """(rank, world size) as given, else of torch.distributed, else of the environment, else (0, 1)."""
     running = None
     if torch.distributed.is_available() and torch.distributed.is_initialized():
         running = torch.distributed.get_rank(), torch.distributed.get_world_size()
-    return place_among_ranks(rank, world_size, running)
+    return place_among_ranks(rank, world_size, running, where)

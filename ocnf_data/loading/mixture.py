@@ -22,7 +22,7 @@ import numpy as np
 from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json, sha256_hex
-from ocnf_data.loading.arguments import whole
+from ocnf_data.loading.arguments import bad_setting, whole
 from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.drawn import DrawnDataset
 from ocnf_data.loading.fetch import RawSample
@@ -50,7 +50,8 @@ class MixtureDataset(DrawnDataset):
         batch_size: samples a batch, for each rank.
         rank: number of this process, from 0, or None, with the same meaning as for `ShardDataset`.
         world_size: number of processes that train together, or None.
-        on_error: "raise", or "skip" for the part's next sample in the place of one that is damaged.
+        on_error: "raise", or "skip" for the part's next sample in the place of one that is damaged or cannot
+            be made; or a list with one of them for each part.
         uneven: "repeat" or "exact", as for `ShardDataset`.
         drop_last: leave out the last, incomplete round of batches.
         augment: "none", "rotations", "flips" or "all".
@@ -70,7 +71,7 @@ class MixtureDataset(DrawnDataset):
         batch_size: int = 1,
         rank: int | None = None,
         world_size: int | None = None,
-        on_error: str = "raise",
+        on_error: str | Sequence[str] = "raise",
         uneven: str = "repeat",
         drop_last: bool = False,
         augment: str = "none",
@@ -81,10 +82,14 @@ class MixtureDataset(DrawnDataset):
                 raise OcnfError("not a part", where="MixtureDataset", field=f"parts[{i}]",
                                 found=type(one).__name__, expected="(data set, weight)")
         supplies = [(dataset.supply(), weight) for dataset, weight in parts]
-        n_samples = whole("samples_per_epoch", samples_per_epoch, least=1)
-        self._mixed = MixtureSupply(supplies, whole("seed", seed, least=0))
+        policies = [on_error] * len(supplies) if isinstance(on_error, str) else on_error
+        if not isinstance(policies, Sequence) or len(policies) != len(supplies):
+            raise bad_setting("neither one for all parts nor one for each", "on_error", on_error,
+                              f'"raise", "skip" or a list of {len(supplies)} of them', "MixtureDataset")
+        n_samples = whole("samples_per_epoch", samples_per_epoch, least=1, where="MixtureDataset")
+        self._mixed = MixtureSupply(supplies, whole("seed", seed, least=0, where="MixtureDataset"))
         super().__init__(self._mixed, n_samples, seed=seed, batch_size=batch_size, rank=rank,
-                         world_size=world_size, on_error=on_error, uneven=uneven, drop_last=drop_last,
+                         world_size=world_size, on_error=policies, uneven=uneven, drop_last=drop_last,
                          augment=augment, max_bad_fraction=max_bad_fraction)
 
     def _order(self) -> dict[str, Any]:
@@ -125,6 +130,10 @@ class MixtureSupply:
         """The key of the part's sample."""
         part, n = self.place(epoch, number)
         return self._supplies[part].key(epoch, n, attempt)
+
+    def part(self, epoch: int, number: int) -> int:
+        """Which part a sample is of."""
+        return self.place(epoch, number)[0]
 
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """The part's sample, its inputs under the mixture's name."""

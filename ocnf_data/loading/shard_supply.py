@@ -45,6 +45,10 @@ class ShardSupply:
         """The sample's key."""
         return self._catalogue.keys[self._index(epoch, number, attempt)]
 
+    def part(self, epoch: int, number: int) -> int:
+        """There is one alone."""
+        return 0
+
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """Read, check and decode a sample.
 

@@ -55,6 +55,10 @@ class SynthesisSupply:
         """The mesh file or the shape."""
         return self._body(epoch, number, attempt).item.source
 
+    def part(self, epoch: int, number: int) -> int:
+        """There is one alone."""
+        return 0
+
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """Draw and make a sample; each attempt draws another body for the same look.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.dataset import ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
@@ -248,8 +249,10 @@ def _open_part(part: MixturePart, settings: TrainSettings, meshes: Path | None) 
 
 def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int) -> EpochDataset:
     assert settings.samples_per_epoch is not None
+    # Meshes of a manifest are found to be bad as they are drawn, with or without a mixture: none stops a run.
+    policies = [settings.on_error if isinstance(part, ShardDataset) else OnError.SKIP for part, _ in parts]
     return MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
-                          batch_size=settings.stage(level).batch_size, on_error=settings.on_error,
+                          batch_size=settings.stage(level).batch_size, on_error=policies,
                           augment=settings.augment)
 
 

@@ -134,7 +134,8 @@ class TrainSettings(Strict):
     precision: Precision = Precision.FLOAT32
     """What the convolutions compute in."""
     on_error: OnError = OnError.RAISE
-    """What becomes of a damaged sample of a data set. (Bad meshes of a manifest give place to others.)"""
+    """What becomes of a damaged sample of a data set. (Bad meshes of a manifest give place to others, also in
+    a mixture.)"""
     checkpointing: bool = False
     """Keep fewer activations for the backward pass, and compute them again."""
     workers: Annotated[Int, Field(ge=0)] = 1

@@ -166,6 +166,41 @@ def test_a_damaged_sample_gives_its_place_to_the_part_s_next(two, sets, tmp_path
     assert dataset.lost(0) == [0]
 
 
+def test_each_part_may_have_its_own_way_with_damage(two, sets, tmp_path):
+    def flipped(name, prefix):
+        url = sets.write(tmp_path / name, {"train": [5]}, {"v2": ["histogram"]}, prefix=prefix)
+        path = tmp_path / name / "train" / "shard-000000.tar"
+        data = bytearray(path.read_bytes())
+        data[700] ^= 1
+        path.write_bytes(data)
+        return part(url, "v2")
+
+    parts = [(flipped("one", "u"), 1), (flipped("other", "w"), 1)]
+
+    def lost(on_error):
+        dataset = MixtureDataset(parts, 40, rank=0, world_size=1, on_error=on_error, max_bad_fraction=1.0)
+        return {one.key for batch in dataset for one in batch.lost}
+
+    assert lost("skip") == lost(["skip", "skip"]) == {"u000", "w000"}
+    for policies, stopped in ((["skip", "raise"], "w000"), (["raise", "skip"], "u000")):
+        with pytest.raises(OcnfError, match=stopped):
+            lost(policies)
+    for policies in (["skip"], None, ["skip", "no"]):
+        with pytest.raises(OcnfError, match="MixtureDataset: on_error"):
+            lost(policies)
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [{"seed": -1}, {"batch_size": 0}, {"augment": "some"}, {"rank": 3}, {"rank": None}, {"uneven": "no"},
+     {"on_error": "no"}, {"drop_last": 1}, {"max_bad_fraction": 2}],
+    ids=str,
+)
+def test_an_argument_that_is_refused_is_the_mixture_s(two, argument):
+    with pytest.raises(OcnfError, match=f"^MixtureDataset: {next(iter(argument))}: "):
+        mixed(two, **argument)
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [

@@ -22,6 +22,8 @@ from ocnf_data.errors import OcnfError
 from ocnf_data.generation.outcome import Report
 from ocnf_data.generation.records import Failure
 from ocnf_data.manifest import Manifest
+from ocnf_data.meshes.writing import WRITERS
+from ocnf_data.shapes import make_shape
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
 from ocnf_model.training.data import open_data
@@ -157,6 +159,23 @@ def test_a_mixture_draws_variants_and_the_network_is_not_told(variants, manifest
     assert {1, 2, 3} & set(drawn)
     assert source.validation(out, settings, 0).variant == "v1"  # the manifest's first, if nobody says
     assert source.validation(out, settings.model_copy(update={"variant": "v4"}), 0).variant == "v4"
+
+
+def test_a_bad_mesh_of_a_part_gives_place_to_another(tiny, small, tmp_path) -> None:
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    for number in range(3):
+        shape = make_shape("table", 0, number, "train")
+        (meshes / f"m{number}.off").write_bytes(WRITERS[".off"](shape.vertices, shape.faces))
+    (meshes / "bad.off").write_text("OFF\n3 1 0\n0 0 0\n")
+    path = tmp_path / "part.yaml"
+    path.write_text(yaml.safe_dump({**MANIFEST, "source": {"kind": "folder", "shares": {"train": 1.0}}}))
+    settings = small(levels=1, samples_per_epoch=400, mixture=[
+        {"weight": 1e-3}, {"data": str(path), "meshes": str(meshes)}])
+    assert settings.on_error == "raise"  # which is about data sets
+    dataset = open_data(tiny, settings).training(tmp_path, settings, 0)
+    lost = [one.key for _, batch in zip(range(8), dataset, strict=False) for one in batch.lost]
+    assert lost and set(lost) == {"bad.off"}
 
 
 def test_an_epoch_of_a_plain_data_set_may_have_another_length(tiny, small, out) -> None:
