@@ -7,14 +7,17 @@
 
 Sample i of epoch e comes from the part that (seed, e, i) draws. If it is the n-th of that part in the epoch,
 it is the part's own sample n of epoch e: a data set's samples come in the order of its epoch, each once
-before any comes again, whatever the other parts are.
+before any comes again, whatever the other parts are. What comes again in an epoch, from the same part or from
+another variant of it, is augmented anew: all but the first round of the first part by (seed, e, key, i).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -93,7 +96,25 @@ class MixtureDataset(DrawnDataset):
                          augment=augment, max_bad_fraction=max_bad_fraction)
 
     def _order(self) -> dict[str, Any]:
-        return {"mixture": self.checksum, "parts": self._mixed.order[1:], **self._drawn_order()}
+        told = {"showings": "apart"} if self._mixed.apart else {}
+        return {"mixture": self.checksum, "parts": self._mixed.order[1:], **told, **self._drawn_order()}
+
+    def as_before(self) -> MixtureDataset:
+        """This data set, but a sample that comes again is augmented alike, as in earlier versions."""
+        self._mixed.apart = False
+        return self
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """As of every loader; a state of an earlier version goes on with samples that come again alike."""
+        ours = self._mixed.apart
+        if isinstance(state, Mapping) and state.get("mixture") in self._mixed.checksums_before:
+            state = {**state, "mixture": self.checksum}
+        self._mixed.apart = not isinstance(state, Mapping) or "showings" in state
+        try:
+            super().load_state_dict(state)
+        except OcnfError:
+            self._mixed.apart = ours
+            raise
 
 
 class MixtureSupply:
@@ -107,14 +128,33 @@ class MixtureSupply:
     def __init__(self, parts: Sequence[tuple[Supply, float]], seed: int) -> None:
         _check(parts)
         self._supplies = [supply for supply, _ in parts]
-        self._ends = np.cumsum([weight for _, weight in parts])
+        self._ends = np.cumsum([float(weight) for _, weight in parts])
         self._seed = seed
+        # Of a spawn context, which works under fork too: workers that run already see a state that is loaded.
+        self._apart = multiprocessing.get_context("spawn").RawValue("b", True)
         self._epoch = -1
         self._places = np.empty((0, 2), np.int64)
         self.request = replace(self._supplies[0].request, variant=MIXED_VARIANT)
-        self.checksum = sha256_hex(canonical_json([
+        given = [weight for _, weight in parts]
+        self.checksum = self._checksum([float(weight) for weight in given])
+        self.checksums_before = tuple(self._checksum(weights) for weights in (
+            [weight if isinstance(weight, int) else float(weight) for weight in given],
+            [int(weight) if float(weight).is_integer() else float(weight) for weight in given]))
+        """What earlier versions gave the same mixture: to them a weight of 1 was another than one of 1.0."""
+
+    def _checksum(self, weights: Sequence[float]) -> str:
+        return sha256_hex(canonical_json([
             [supply.checksum, supply.request.variant, supply.request.split, supply.request.categories, weight]
-            for supply, weight in parts]))
+            for supply, weight in zip(self._supplies, weights, strict=True)]))
+
+    @property
+    def apart(self) -> bool:
+        """Whether samples that come again in an epoch are told apart from their first showing."""
+        return bool(self._apart.value)
+
+    @apart.setter
+    def apart(self, value: bool) -> None:
+        self._apart.value = value
 
     @property
     def order(self) -> list[Any]:
@@ -141,8 +181,9 @@ class MixtureSupply:
         supply = self._supplies[part]
         sample = supply.sample(epoch, n, attempt)
         names = zip(supply.request.members(), self.request.members(), strict=True)
-        return replace(sample, octrees={ours: sample.octrees[theirs] for theirs, ours in names
-                                        if theirs != JSON})
+        showing = f" {number}" if self.apart and (part or sample.showing) else ""
+        return replace(sample, showing=showing, octrees={
+            ours: sample.octrees[theirs] for theirs, ours in names if theirs != JSON})
 
     def place(self, epoch: int, number: int) -> tuple[int, int]:
         """Which part a sample is of, and its number there."""
@@ -168,13 +209,20 @@ class MixtureSupply:
         return places
 
 
+def _is_weight(weight: object) -> bool:
+    try:
+        return not isinstance(weight, bool) and isinstance(weight, Real) and 0 < float(weight) < float("inf")
+    except OverflowError:  # an integer beyond all floats
+        return False
+
+
 def _check(parts: Sequence[tuple[Supply, float]]) -> None:
     """Refuse what cannot be mixed."""
     if not parts:
         raise OcnfError("there is nothing to mix", code="empty", where="MixtureDataset", field="parts")
     first = parts[0][0]
     for i, (supply, weight) in enumerate(parts):
-        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < float("inf"):
+        if not _is_weight(weight):
             raise OcnfError("not a weight", where="MixtureDataset", field=f"parts[{i}]", found=repr(weight),
                             expected="a number above 0")
         for field in ("resolutions", "encoding", "targets"):

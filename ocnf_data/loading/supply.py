@@ -84,7 +84,7 @@ class SupplyAssembler:
         places, repeat = self._partition.places(step)
         lost: list[Lost] = []
         samples = tuple(self._sample(epoch, number, lost) for number in places.tolist())
-        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.key) for sample in samples)
+        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.draw) for sample in samples)
         if self._augment is not Augment.NONE:
             samples = tuple(sample.moved(move) for sample, move in zip(samples, symmetries, strict=True))
         return Assembled(samples, tuple(repeat.tolist()), symmetries, tuple(lost))

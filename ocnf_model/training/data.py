@@ -6,6 +6,7 @@ RUN/validation, so that every epoch is measured with the same ones; `--val` name
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.loading.mixture import MixtureDataset
 from ocnf_data.shards import load_dataset
 from ocnf_model.training.inputs import with_first_variant, with_training_variant, with_validation_variant
-from ocnf_model.training.record import VALIDATION
+from ocnf_model.training.record import VALIDATION, draws_apart
 from ocnf_model.training.settings import MixturePart, TrainSettings
 
 if TYPE_CHECKING:
@@ -104,7 +105,9 @@ class StoredData:
             categories=settings.categories, seed=settings.seed,
             on_error=settings.on_error, batch_size=settings.stage(level).batch_size,
             augment=settings.augment, buffer=settings.shuffle_buffer)
-        return dataset if settings.samples_per_epoch is None else _mix([(dataset, 1.0)], settings, level)
+        if settings.samples_per_epoch is None:
+            return dataset
+        return _mix([(dataset, 1.0)], settings, level, draws_apart(folder))
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation split."""
@@ -196,13 +199,15 @@ class MixedData:
         """Samples of all parts."""
         from ocnf_data.synthesis.dataset import SynthesisDataset
 
-        mixed = []
-        for source, part in self._parts:
-            own = settings.model_copy(update={"variant": part.variant, "samples_per_epoch": None})
+        mixed, apart = [], draws_apart(folder)
+        for number, (source, part) in enumerate(self._parts):
+            own = settings.model_copy(update={
+                "variant": part.variant, "samples_per_epoch": None,
+                "seed": _seed_of_part(settings.seed, number) if apart else settings.seed})
             dataset = source.training(folder, own, level)
             assert isinstance(dataset, ShardDataset | SynthesisDataset)
             mixed.append((dataset, part.weight))
-        return _mix(mixed, settings, level)
+        return _mix(mixed, settings, level, apart)
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """The base's validation set, in the variant that the settings name or its manifest names first."""
@@ -247,13 +252,22 @@ def _open_part(part: MixturePart, settings: TrainSettings, meshes: Path | None) 
     return open_data(part.data, settings, root if is_manifest(part.data) else None)
 
 
-def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int) -> EpochDataset:
+def _seed_of_part(seed: int, number: int) -> int:
+    """Each part's own, or two variants of a data set would come in one order; the first has the run's."""
+    if number == 0:
+        return seed
+    return int.from_bytes(hashlib.sha256(f"ocnf part {seed} {number}".encode()).digest()[:6], "little")
+
+
+def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int,
+         apart: bool) -> EpochDataset:
     assert settings.samples_per_epoch is not None
     # Meshes of a manifest are found to be bad as they are drawn, with or without a mixture: none stops a run.
     policies = [settings.on_error if isinstance(part, ShardDataset) else OnError.SKIP for part, _ in parts]
-    return MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
-                          batch_size=settings.stage(level).batch_size, on_error=policies,
-                          augment=settings.augment)
+    mixture = MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
+                             batch_size=settings.stage(level).batch_size, on_error=policies,
+                             augment=settings.augment)
+    return mixture if apart else mixture.as_before()
 
 
 def open_validation(url: str, settings: TrainSettings, level: int, manifest: dict[str, Any]) -> ShardDataset:

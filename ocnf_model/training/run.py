@@ -64,7 +64,7 @@ def train(data: str | Path | DataSource, out: str | Path,
         device: `auto`, `cpu`, `cuda`, `cuda:1`.
         console: where the progress is shown; None for the terminal's error stream.
         meshes: the folder that a manifest's mesh paths are relative to.
-        val: a data set whose split `val` is to be validated with, in state of that of `data`.
+        val: a data set whose split `val` is to be validated with, instead of that of `data`.
 
     Returns:
         The network with the best weights of every level, in evaluation mode, on the device.
@@ -181,7 +181,8 @@ def _begin(source: DataSource, folder: Path, settings: TrainSettings, network: O
         The state that it goes on from, with its tensors, as `load_state`.
     """
     ours = RunRecord(settings, _training_data(source, folder, settings),
-                     source.validation(folder, settings, 0).checksum, start_checksums(settings))
+                     source.validation(folder, settings, 0).checksum, start_checksums(settings),
+                     apart=settings.samples_per_epoch is not None)
     if not is_begun(folder):
         refuse_strangers(folder)
         write_record(folder, ours)

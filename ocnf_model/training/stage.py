@@ -140,7 +140,7 @@ class Trainer:
             losses = loss(self._forward(example).raw, example.target, "none", weights=weights)
         else:
             size = self._stage.crop // TREE_WIDTH
-            corners = draw_corners(example.target.structure, size, settings.seed, batch.epoch, batch.keys,
+            corners = draw_corners(example.target.structure, size, settings.seed, batch.epoch, batch.draws,
                                    self._stage.crops)
             with self._precision():
                 losses = crop_losses(self._job.network, example, self._state.level, corners, size, loss,

@@ -8,6 +8,8 @@ from torch.utils.data import DataLoader
 
 from ocnf_data import MixtureDataset, ShardDataset
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json, sha256_hex
+from ocnf_data.loading.augment import Augment, draw_symmetry
 
 N = 60
 
@@ -147,6 +149,70 @@ def test_a_state_of_parts_in_another_order_is_refused(two, changed):
         of(**changed).load_state_dict(state)
     before = {name: value for name, value in state.items() if name != "parts"}  # of an earlier version
     of().load_state_dict(before)
+
+
+def showings(dataset, epoch=0):
+    """(key, symmetry, what is drawn by) of each sample of an epoch."""
+    dataset.set_epoch(epoch)
+    return [one for batch in dataset for one in zip(batch.keys, batch.symmetries, batch.draws, strict=True)]
+
+
+def test_a_sample_that_comes_again_in_an_epoch_is_drawn_for_anew(two):
+    def once(epoch):
+        alone = part(two[0], "v4", augment="all")
+        alone.set_epoch(epoch)
+        return [(batch.keys[0], batch.symmetries[0], batch.draws[0]) for batch in alone]
+
+    mixture = MixtureDataset([(part(two[0], "v4"), 1)], N, rank=0, world_size=1, augment="all")
+    for epoch in range(2):
+        met = showings(mixture, epoch)
+        assert met[:7] == once(epoch)  # the first round is a plain pass
+        assert len({draw for _, _, draw in met}) == N
+        for key in {key for key, _, _ in met}:  # eight or nine times; 48 symmetries
+            assert len({symmetry for of, symmetry, _ in met if of == key}) > 4
+    both = [(part(two[0], variant), 1) for variant in ("v1", "v4")]
+    met = showings(MixtureDataset(both, 14, rank=0, world_size=1, augment="all"))
+    assert len({draw for _, _, draw in met}) == 14 > len({key for key, _, _ in met})
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_state_of_an_earlier_version_goes_on_with_what_comes_again_alike(two, workers):
+    dataset, before = mixed(two, augment="all"), mixed(two, augment="all").as_before()
+    state = {name: value for name, value in dataset.state_dict().items() if name != "showings"}
+    assert state == before.state_dict()
+    loader = DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0)
+    ours = [contents(batch) for batch in loader]
+    dataset.load_state_dict(state)  # while there are workers
+    alike = [contents(batch) for batch in loader]
+    assert alike == [contents(batch) for batch in before] != ours
+    for key, symmetry, draw in showings(before):
+        assert draw == key and symmetry == draw_symmetry(Augment.ALL, 0, 0, key)
+    assert "showings" not in dataset.state_dict()
+    dataset.load_state_dict(mixed(two, augment="all").state_dict())
+    assert [contents(batch) for batch in loader] == ours
+    with pytest.raises(OcnfError):
+        dataset.load_state_dict({**state, "seed": 1})
+    assert "showings" in dataset.state_dict()  # a state that is refused changes nothing
+
+
+def test_a_weight_is_a_number_whatever_its_type(two):
+    state, one = mixed(two, weights=(2, 1, 1)).state_dict(), mixed(two, weights=(2.0, 1, 1.0))
+    one.load_state_dict(state)
+    mixed(two, weights=(np.int64(2), np.float32(1), True + 0)).load_state_dict(state)
+    assert one.checksum == mixed(two, weights=(2, 1, 1)).checksum
+    for weight in (True, np.inf, np.nan, -1, 10**400, "1"):
+        with pytest.raises(OcnfError, match="not a weight"):
+            mixed(two, weights=(2, 1, weight))
+    # Earlier versions hashed weights as they were given: those states go on, under either spelling.
+    named = [[part(two[0], "v4"), "v4"], [part(two[0], "v1"), "v1"], [part(two[1], "v2"), "v2"]]
+    before = [sha256_hex(canonical_json([[data.checksum, variant, "train", None, weight]
+                                         for (data, variant), weight in zip(named, weights, strict=True)]))
+              for weights in ((2, 1, 1), (2.0, 1, 1.0), (2.0, 1.0, 1.0))]
+    assert len({*before, one.checksum}) == 3 and one.checksum == before[2]
+    for checksum in before:
+        one.load_state_dict({**state, "mixture": checksum})
+    with pytest.raises(OcnfError, match="mixture: the state is of a run with another order"):
+        one.load_state_dict({**state, "mixture": [checksum]})
 
 
 def test_a_damaged_sample_gives_its_place_to_the_part_s_next(two, sets, tmp_path):

@@ -17,7 +17,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import ocnf_data.generation.account as account
-from ocnf_data import generate
+from ocnf_data import MixtureDataset, ShardDataset, generate
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.outcome import Report
 from ocnf_data.generation.records import Failure
@@ -26,6 +26,7 @@ from ocnf_data.meshes.writing import WRITERS
 from ocnf_data.shapes import make_shape
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
+from ocnf_model.training.crops import draw_corners
 from ocnf_model.training.data import open_data
 from ocnf_model.training.run import train
 from ocnf_model.training.train_state import load_state
@@ -176,6 +177,49 @@ def test_a_bad_mesh_of_a_part_gives_place_to_another(tiny, small, tmp_path) -> N
     dataset = open_data(tiny, settings).training(tmp_path, settings, 0)
     lost = [one.key for _, batch in zip(range(8), dataset, strict=False) for one in batch.lost]
     assert lost and set(lost) == {"bad.off"}
+
+
+def test_parts_are_drawn_by_seeds_of_their_own(variants, small, out) -> None:
+    settings = small(levels=1, samples_per_epoch=60, seed=3, augment="all",
+                     mixture=[{"variant": name} for name in ("v1", "v2", "v4")])
+
+    def orders() -> list[list[str]]:
+        dataset = open_data(variants, settings).training(out, settings, 0)
+        assert isinstance(dataset, MixtureDataset)
+        met: list[list[str]] = [[], [], []]
+        for i, draw in enumerate(draw for batch in dataset for draw in batch.draws):
+            met[dataset.supply().part(0, i)].append(draw)
+        return met
+
+    def keys(met: list[str]) -> list[str]:
+        return [draw.split(" ")[0] for draw in met[:5]]
+
+    first, second, third = orders()
+    assert sorted(keys(first)) == sorted(keys(second)) == sorted(keys(third))  # each of the five
+    assert len({tuple(keys(met)) for met in (first, second, third)}) == 3
+    assert first[:5] == [batch.keys[0] for batch in ShardDataset(variants, "train", 32, "tsdf", "v1", seed=3)]
+    one_seed = settings.model_copy(update={"stages": (settings.stage(0).model_copy(update={"epochs": 1}),)})
+    train(variants, out, one_seed.model_copy(update={"samples_per_epoch": 2}), device="cpu")
+    assert orders() == [first, second, third]
+    record = out / "settings.json"  # as an earlier version wrote it
+    record.write_text(record.read_text().replace('"apart": true,', ""))
+    before = orders()
+    assert keys(before[0]) == keys(before[1]) == keys(before[2]) == keys(first)
+    assert all(" " not in draw for met in before for draw in met)
+
+
+def test_boxes_of_a_sample_that_comes_again_are_others(tiny, small, out, monkeypatch) -> None:
+    names: list[str] = []
+
+    def noting(truth, size, seed, epoch, keys, boxes=1):
+        names.extend(keys)
+        return draw_corners(truth, size, seed, epoch, keys, boxes)
+
+    monkeypatch.setattr("ocnf_model.training.stage.draw_corners", noting)
+    settings = small(levels=1, resolutions=[64], samples_per_epoch=10, stages=[{**STAGES[0], "epochs": 1,
+                                                                                "crop": 64}])
+    train(tiny, out, settings, device="cpu")
+    assert len(names) == len(set(names)) == 10
 
 
 def test_an_epoch_of_a_plain_data_set_may_have_another_length(tiny, small, out) -> None:
