@@ -97,6 +97,7 @@ def _facts(key: str, body: Body, look: Look) -> dict[str, Any]:
         **({} if look.directions is None or body.is_scene else {"directions": look.directions.tolist()}),
         "views": list(look.views), "noise": str(look.noise),
         **({"sigma": look.sigma} if look.noise is NoiseModel.PARK else {"strength": look.strength}),
+        **({"misaligned": look.misaligned} if look.misaligned else {}),
     }
 
 

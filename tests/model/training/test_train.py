@@ -21,7 +21,7 @@ from ocnf_model.network import OctNetFusion
 from ocnf_model.training.batches import to_octree_batch
 from ocnf_model.training.objective import LOSSES
 from ocnf_model.training.run import train
-from ocnf_model.training.train_state import load_state
+from ocnf_model.training.train_state import load_state, save_state
 
 
 def stage(**changes) -> dict:
@@ -212,6 +212,21 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
     monkeypatch.undo()
     train(tiny, out, settings, device="cpu")
     assert len(load_state(out)[0].rows) == 3
+
+
+@pytest.mark.parametrize("seconds", [0.0, 3600.0])
+def test_a_state_is_saved_where_the_last_is_too_old(seconds, tiny, small, out, monkeypatch) -> None:
+    saved: list[tuple[int, int]] = []
+
+    def noting(folder, state, *others):
+        saved.append((state.epoch, state.steps))
+        save_state(folder, state, *others)
+
+    monkeypatch.setattr("ocnf_model.training.stage.save_state", noting)
+    monkeypatch.setattr("ocnf_model.training.stage.SAVE_SECONDS", seconds)
+    train(tiny, out, small(levels=1, stages=[stage(epochs=2, accumulate=1)], save_every=1000), device="cpu")
+    ends = [(0, 3), (1, 3), (1, 6), (2, 6)]  # of training and of validation, three steps an epoch
+    assert saved == (ends if seconds else sorted([*ends, (0, 1), (0, 2), (1, 4), (1, 5)]))
 
 
 def _epoch(tiny, epoch):
