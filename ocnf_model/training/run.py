@@ -6,7 +6,8 @@
     RUN/curves.csv             a line an epoch
     RUN/tensorboard/           the curves by step
     RUN/validation/            the data set that a manifest's validation split was made into
-    RUN/cache/                 ground truth that epochs share, where a manifest says so; may be deleted
+    RUN/cache/                 ground truth that epochs share, where a manifest says so, while the run lasts;
+                               may be deleted
 
 >>> train("out", "run", TrainSettings(levels=2))           # doctest: +SKIP
 >>> load_run("run")                                        # doctest: +SKIP
@@ -14,6 +15,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
@@ -30,7 +32,7 @@ from ocnf_model.header import TrainingData
 from ocnf_model.network import Normaliser, OctNetFusion, Output, widths_at
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
-from ocnf_model.training.data import DataSource, StoredData, open_data
+from ocnf_model.training.data import CACHE, DataSource, StoredData, open_data
 from ocnf_model.training.effects import refuse_extra_channels, refuse_without_effect
 from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
@@ -152,6 +154,8 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, network: Oct
                     save_state(folder, state)
             world.wait()
         load_level(folder, network, level)
+    if world.is_main:  # more epochs would make anew what they need of it
+        shutil.rmtree(folder / CACHE, ignore_errors=True)
     return network.eval()
 
 

@@ -29,7 +29,7 @@ from ocnf_model.cli import app
 from ocnf_model.training.crops import draw_corners
 from ocnf_model.training.data import open_data
 from ocnf_model.training.run import train
-from ocnf_model.training.train_state import load_state
+from ocnf_model.training.train_state import load_state, save_state
 
 from .conftest import MANIFEST
 from .test_processes import ENVIRONMENT, TRAINS_UNTIL_KILLED
@@ -115,6 +115,26 @@ def test_a_killed_run_ends_with_the_same_weights(manifest, variants, small, tmp_
     train(data, out, settings, device="cpu")
     name = "level-1.safetensors"
     assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_ground_truths_that_epochs_share_go_with_the_end_and_are_not_missed(
+        manifest, small, tmp_path, monkeypatch) -> None:
+    there: list[bool] = []
+
+    def noting(folder, *others):
+        there.append((folder / "cache").is_dir())
+        save_state(folder, *others)
+
+    monkeypatch.setattr("ocnf_model.training.stage.save_state", noting)
+    whole, longer = tmp_path / "whole", tmp_path / "longer"
+    settings = small(stages=STAGES, levels=1)
+    train(manifest, whole, settings, device="cpu")
+    assert all(there) and not (whole / "cache").exists()
+    train(manifest, longer, small(stages=[{**STAGES[0], "epochs": 1}], levels=1), device="cpu")
+    train(manifest, longer, settings, device="cpu")  # goes on within a season of two epochs
+    assert not (longer / "cache").exists()
+    ours, theirs = (load_state(folder)[1] for folder in (longer, whole))
+    assert ours.keys() == theirs.keys() and all(ours[name].equal(theirs[name]) for name in ours)
 
 
 def test_a_run_stopped_while_making_the_validation_set_is_taken_up(manifest, small, out, monkeypatch) -> None:
