@@ -21,7 +21,13 @@ from ocnf_data.loading.dataset import ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.loading.mixture import MixtureDataset
 from ocnf_data.shards import load_dataset
-from ocnf_model.training.inputs import with_first_variant, with_training_variant, with_validation_variant
+from ocnf_model.training.effects import refuse_idle_part
+from ocnf_model.training.inputs import (
+    refuse_unknown_variant,
+    with_first_variant,
+    with_training_variant,
+    with_validation_variant,
+)
 from ocnf_model.training.record import VALIDATION, draws_apart
 from ocnf_model.training.settings import MixturePart, TrainSettings
 
@@ -141,6 +147,7 @@ class DrawnData:
         given = load_manifest(path)
         self.where = path
         self._root = given.meshes_root(meshes)
+        self.reads_meshes = self._root is not None
         self._sources: Sources = open_sources(given, self._root, train_split, categories)
         self.manifest = self._sources.manifest.to_dict()
         self._val = None if val is None else OtherData.checked(val, self.manifest, path)
@@ -151,6 +158,7 @@ class DrawnData:
             return
         from ocnf_model.training.making import make_validation
 
+        refuse_unknown_variant(settings, self.manifest, self.where)
         # What is drawn for training is no part of it: a run with other draws is measured with the same one.
         manifest = self._sources.manifest.model_copy(update={"synthesis": None})
         if not any(entry.split == settings.val_split
@@ -190,6 +198,13 @@ class MixedData:
     def __init__(self, base: DataSource, parts: Sequence[tuple[DataSource, MixturePart]]) -> None:
         self._base, self._parts = base, parts
         self.where, self.manifest = base.where, base.manifest
+
+    def refuse_idle(self) -> None:
+        """Refuse fields of parts that would have no effect; where a run is begun."""
+        for number, (source, part) in enumerate(self._parts):
+            drawn = isinstance(source, DrawnData)
+            names = [entry["name"] for entry in source.manifest["inputs"]] if drawn else None
+            refuse_idle_part(number, part, names, isinstance(source, DrawnData) and source.reads_meshes)
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
         """Prepare the data set that is validated with."""

@@ -32,7 +32,7 @@ from ocnf_model.header import TrainingData
 from ocnf_model.network import Normaliser, OctNetFusion, Output, widths_at
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
-from ocnf_model.training.data import CACHE, DataSource, StoredData, open_data
+from ocnf_model.training.data import CACHE, DataSource, MixedData, StoredData, open_data
 from ocnf_model.training.effects import refuse_extra_channels, refuse_without_effect
 from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
@@ -93,6 +93,8 @@ def train(data: str | Path | DataSource, out: str | Path,
         settings = asked.resolved(source.manifest, None, source.where)
         if not is_begun(folder):
             refuse_without_effect(settings)
+            if isinstance(source, MixedData):
+                source.refuse_idle()
         if world.is_main:
             _prepare(source, folder, settings, console)
         world.wait()

@@ -340,6 +340,39 @@ def test_what_a_manifest_lacks_is_said(small, tmp_path, out, tiny) -> None:
         train(tiny, out, small(levels=1), device="cpu", meshes=tmp_path)
 
 
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"variant": "v3"}, r"drawn.yaml: variant: no inputs have that name.*found v3, expected one of v2"),
+    ({"encoding": "histogram"}, "drawn.yaml: encoding: .*found histogram, expected one of tsdf, tdf_"),
+])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_inputs_that_a_manifest_lacks_are_said_before_its_validation_set_is_made(
+        changes, message, mixed, manifest, small, out) -> None:
+    settings = small(levels=1, **changes, **({"mixture": [{}], "samples_per_epoch": 2} if mixed else {}))
+    with pytest.raises(OcnfError, match=message) as caught:
+        train(manifest, out, settings, device="cpu")
+    assert caught.value.code == "missing" and not (out / "validation").exists()
+
+
+@pytest.mark.parametrize(("part", "message"), [
+    ({"data": "MANIFEST", "variant": "v3"}, r"mixture\[1\].variant: it would have no effect: .*found v3"),
+    ({"data": "MANIFEST", "meshes": "/nowhere"}, r"mixture\[1\].meshes: .*no mesh files; found /nowhere"),
+    ({"data": "VARIANTS", "variant": "v1", "meshes": "/nowhere"}, r"mixture\[1\].meshes: .*no mesh files"),
+    ({"variant": "v1", "meshes": "/nowhere"}, r"mixture\[1\].meshes: .*what the command line names"),
+])
+def test_what_has_no_effect_on_a_part_is_refused_where_a_run_is_begun(
+        part, message, manifest, variants, small, out, monkeypatch) -> None:
+    named = {"MANIFEST": manifest, "VARIANTS": variants}
+    part = part | ({"data": named[part["data"]]} if "data" in part else {})
+    settings = small(levels=1, samples_per_epoch=2, variant="v1", mixture=[{"variant": "v2"}, part])
+    with pytest.raises(OcnfError, match=message) as caught:
+        train(variants, out, settings, device="cpu")
+    assert caught.value.code == "manifest" and not out.exists()
+    with monkeypatch.context() as patch:
+        patch.setattr("ocnf_model.training.data.refuse_idle_part", lambda *arguments: None)
+        train(variants, out, settings, device="cpu")
+    train(variants, out, settings, device="cpu")  # a run of an earlier version goes on
+
+
 def made_of(samples: int, failed: int) -> Report:
     """What generation says of a validation set: some samples, and others that could not be made."""
     failures = tuple(Failure(f"m{i}", "val", "chair", f"m{i}.off", "read", "degenerate",
