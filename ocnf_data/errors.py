@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
+
+_CARRIED = "parts of the OcnfError: "
 
 
 class OcnfError(Exception):
@@ -65,8 +70,11 @@ Round it to the next one.
 
     def replaced(self, **parts: Any) -> OcnfError:
         """The same error with other parts, by the names of the constructor's arguments."""
-        own = {name: getattr(self, name) for name in ("code", "where", "field", "found", "expected", "fix")}
-        return OcnfError(self.what, **{**own, **parts})
+        return OcnfError(**{**self._parts(), **parts})
+
+    def _parts(self) -> dict[str, Any]:
+        return {name: getattr(self, name)
+                for name in ("what", "code", "where", "field", "found", "expected", "fix")}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Keep every part when the error crosses a process boundary (pickle would call `cls(message)`)."""
@@ -92,6 +100,41 @@ def missing_extra(what: str, extra: str, where: object = None) -> OcnfError:
 def _rebuild(cls: type[OcnfError], what: str, code: str, where: str | None, field: str | None,
              found: str | None, expected: str | None, fix: str | None) -> OcnfError:
     return cls(what, code=code, where=where, field=field, found=found, expected=expected, fix=fix)
+
+
+class _WorkerError(OcnfError):
+    """An error on its way out of a `DataLoader`'s worker process.
+
+    What torch sends to the main process is the class and the text of the traceback, and it raises there what
+    the class makes of that text alone. So the text ends with the error's parts, and of it this class makes
+    the `OcnfError` that was raised in the worker.
+    """
+
+    def __new__(cls, text: str) -> OcnfError:  # type: ignore[misc]
+        traceback, _, parts = text.rpartition(_CARRIED)
+        error = OcnfError(**json.loads(parts.splitlines()[0]))
+        error.__cause__ = RuntimeError(traceback)  # for those who look for where in the code it was
+        return error
+
+    @classmethod
+    def of(cls, error: OcnfError) -> OcnfError:
+        """An error with the same parts and the same sentence; its traceback ends with the parts."""
+        leaving = Exception.__new__(cls)
+        leaving.__init__(**error._parts())  # type: ignore[misc]
+        leaving.add_note(_CARRIED + json.dumps(error._parts()))
+        return leaving
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return OcnfError.replaced(self).__reduce__()
+
+
+@contextmanager
+def whole_from_worker() -> Iterator[None]:
+    """Errors in here, in a `DataLoader`'s worker, are raised in the main process with all their parts."""
+    try:
+        yield
+    except OcnfError as error:
+        raise _WorkerError.of(error) from error
 
 
 def printable(text: str) -> str:

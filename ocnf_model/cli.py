@@ -109,18 +109,21 @@ def train_command(
     `torchrun --nproc-per-node N -m ocnf_model.cli train ...` trains on N GPUs.
     """
     from ocnf_model.devices import keep_freed_memory
-    from ocnf_model.training.options import merge_options
+    from ocnf_model.training.options import merge_options, refuse_long_lists
+    from ocnf_model.training.record import is_begun
     from ocnf_model.training.run import train
 
     keep_freed_memory()
+    of_stages = {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
+                 "learning_rate": learning_rate, "decay": decay}
     chosen = merge_options(
         settings,
         {"levels": levels, "encoding": encoding, "variant": variant, "join": join, "carry": carry,
          "output": output, "augment": augment, "precision": precision, "checkpointing": checkpointing,
          "best_by": best_by, "start": start, "seed": seed, "workers": workers},
-        {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate,
-         "learning_rate": learning_rate, "decay": decay},
-        channels)
+        of_stages, channels)
+    if not is_begun(out):
+        refuse_long_lists(chosen.levels, settings, of_stages, shortened=levels is not None)
     train(data, out, chosen, device=device, console=_err, meshes=meshes, val=val)
     if os.environ.get("RANK", "0") == "0":
         _out.print(f"trained: {escape(str(out))}", highlight=False)

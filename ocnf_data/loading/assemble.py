@@ -81,7 +81,7 @@ class Assembler:
             elif self._partition.uneven is not Uneven.EXACT:
                 good.append((self._stand_in(order, epoch, spares, lost, own), True))
         samples = tuple(sample for sample, _ in good)
-        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.key) for sample in samples)
+        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.draw) for sample in samples)
         if self._augment is not Augment.NONE:
             samples = tuple(sample.moved(move) for sample, move in zip(samples, symmetries, strict=True))
         return Assembled(samples, tuple(again for _, again in good), symmetries, tuple(lost))

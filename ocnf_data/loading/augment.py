@@ -1,4 +1,7 @@
-"""Which symmetry of the cube a sample is shown in: a pure function of (seed, epoch, key)."""
+"""Which symmetry of the cube a sample is shown in: a pure function of (seed, epoch, key).
+
+Where a mixture meets a key again in an epoch, that showing's own name stands for the key.
+"""
 
 from __future__ import annotations
 

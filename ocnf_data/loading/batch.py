@@ -150,6 +150,8 @@ class Batch:
         lost: samples of this batch that were damaged (`on_error="skip"`).
         arena: the memory of all octrees.
         slots: what lies where in it.
+        draws: for each sample, what anything drawn for it in this epoch should be drawn by: its key, and
+            where a mixture may have met that before in the epoch, something that tells the two apart.
     """
 
     epoch: int
@@ -162,6 +164,7 @@ class Batch:
     lost: tuple[Lost, ...]
     arena: Tensor
     slots: tuple[Slot, ...]
+    draws: tuple[str, ...]
 
     def __len__(self) -> int:
         """Number of samples, B: `batch_size`, or fewer at an exact epoch's end or where some were lost."""
@@ -235,6 +238,7 @@ def make_batch(assembled: Assembled, request: Request, epoch: int, step: int) ->
         lost=assembled.lost,
         arena=arena,
         slots=tuple(slots),
+        draws=tuple(sample.draw for sample in samples),
     )
 
 

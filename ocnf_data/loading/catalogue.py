@@ -250,7 +250,8 @@ def _with_variant(request: Request, members: Collection[str], url: str) -> Reque
                         field="encoding", found=str(request.encoding), expected=_what_there_is(members))
     if len(found) > 1:
         raise OcnfError("there are several input variants", code="missing", where=url, field="variant",
-                        expected=f"one of {', '.join(found)}", fix="say which with variant=...")
+                        expected=f"one of {', '.join(found)}",
+                        fix="say which with variant=..., of a command with --variant")
     return replace(request, variant=found[0])
 
 

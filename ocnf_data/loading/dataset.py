@@ -76,8 +76,8 @@ class ShardDataset(EpochDataset):
     Raises:
         OcnfError: a setting is impossible, or the data sets do not have what is asked for.
 
-    *Errors in workers.* torch raises them again in the main process from their text, behind the worker's
-    traceback: the sentence comes last, and `code` and `where` are lost.
+    *Errors in workers* are raised in the main process as they are without workers, with `code`, `where` and
+    all other parts.
 
     *Epochs.* Each `iter(loader)` (or `iter(dataset)`) is the next epoch, from 0 on, or from where `set_epoch`
     says. This holds with and without workers, persistent or not (see `loading.cursor`). Call `set_epoch` and

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numba
 from torch.utils.data import get_worker_info
 
-from ocnf_data.loading.arguments import OnError, bad_setting, fraction, one_of, whole
+from ocnf_data.loading.arguments import OnError, bad_setting, flag, fraction, one_of, whole
 from ocnf_data.loading.augment import Augment
 from ocnf_data.loading.batch import Batch, make_batch
 from ocnf_data.loading.epochs import EpochDataset, place_in_world
@@ -27,7 +27,8 @@ class DrawnDataset(EpochDataset):
         batch_size: samples a batch, for each rank.
         rank: number of this process, from 0, or None, with the same meaning as for `ShardDataset`.
         world_size: number of processes that train together, or None.
-        on_error: "raise", or "skip" for another draw in place of a sample that cannot be read or made.
+        on_error: for each part of the supply "raise", or "skip" for another draw in place of a sample that
+            cannot be read or made.
         uneven: "repeat" or "exact", as for `ShardDataset`.
         drop_last: leave out the last, incomplete round of batches.
         augment: "none", "rotations", "flips" or "all".
@@ -36,27 +37,28 @@ class DrawnDataset(EpochDataset):
     """
 
     def __init__(self, supply: Supply, n_samples: int, *, seed: int, batch_size: int, rank: int | None,
-                 world_size: int | None, on_error: str, uneven: str, drop_last: bool, augment: str,
-                 max_bad_fraction: float) -> None:
+                 world_size: int | None, on_error: Sequence[str], uneven: str, drop_last: bool,
+                 augment: str, max_bad_fraction: float) -> None:
         self._supply = supply
-        self._seed = whole("seed", seed, least=0)
-        self._augment = one_of(Augment, "augment", augment)
-        tail = one_of(Uneven, "uneven", uneven)
-        if drop_last and tail is Uneven.EXACT:
-            raise bad_setting("an exact epoch drops nothing", "drop_last", True, "False")
-        rank, world_size = place_in_world(rank, world_size)
-        partition = Partition(whole("samples_per_epoch", n_samples, least=1),
-                              whole("batch_size", batch_size, least=1), rank, world_size,
-                              Uneven.DROP if drop_last else tail)
+        where = type(self).__name__
+        self._seed = whole("seed", seed, least=0, where=where)
+        self._augment = one_of(Augment, "augment", augment, where)
+        tail = one_of(Uneven, "uneven", uneven, where)
+        if flag("drop_last", drop_last, where) and tail is Uneven.EXACT:
+            raise bad_setting("an exact epoch drops nothing", "drop_last", True, "False", where)
+        rank, world_size = place_in_world(rank, world_size, where)
+        partition = Partition(whole("samples_per_epoch", n_samples, least=1, where=where),
+                              whole("batch_size", batch_size, least=1, where=where),
+                              rank, world_size, Uneven.DROP if drop_last else tail, where)
         super().__init__(partition)
         met = min(partition.n_samples, partition.n_batches * partition.batch_size)
-        limit = max(1, int(fraction("max_bad_fraction", max_bad_fraction) * met))
-        self._lost = LostSamples(partition.n_samples, limit, "bad samples", type(self).__name__,
+        limit = max(1, int(fraction("max_bad_fraction", max_bad_fraction, where) * met))
+        self._lost = LostSamples(partition.n_samples, limit, "bad samples", where,
                                  "`ocnf-data generate` names all bad meshes of a manifest in failures.jsonl, "
                                  "`ocnf-data verify` all that is damaged in a data set",
                                  type(self).__module__)
-        self._assembler = SupplyAssembler(supply, partition, self._seed, self._augment,
-                                          one_of(OnError, "on_error", on_error), self._lost)
+        policies = [one_of(OnError, "on_error", one, where) for one in on_error]
+        self._assembler = SupplyAssembler(supply, partition, self._seed, self._augment, policies, self._lost)
 
     def _batches(self, epoch: int, steps: range) -> Iterator[Batch]:
         if get_worker_info() is not None:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import torch.distributed
 from torch.utils.data import IterableDataset, get_worker_info
 
-from ocnf_data.errors import OcnfError
+from ocnf_data.errors import OcnfError, whole_from_worker
 from ocnf_data.loading.arguments import place_among_ranks, whole
 from ocnf_data.loading.batch import Batch
 from ocnf_data.loading.cursor import Cursor, Identity, Position
@@ -54,13 +54,16 @@ class EpochDataset(IterableDataset[Batch]):
         # Not a generator itself: the epoch is claimed now, not at the first batch.
         worker = get_worker_info()
         if worker is None:
-            position, number, workers = self._cursor.claim(), 0, 1
-        else:
-            number, workers = worker.id, worker.num_workers
-            identity = Identity(worker.seed - worker.id, self._rounds, self._cursor.generation, workers)
-            position = self._cursor.claim(number, identity)
+            position = self._cursor.claim()
+            self._rounds += 1
+            return self._batches(position.epoch, range(position.step, len(self)))
+        identity = Identity(worker.seed - worker.id, self._rounds, self._cursor.generation,
+                            worker.num_workers)
+        with whole_from_worker():
+            position = self._cursor.claim(worker.id, identity)
         self._rounds += 1
-        return self._batches(position.epoch, range(position.step + number, len(self), workers))
+        steps = range(position.step + worker.id, len(self), worker.num_workers)
+        return _of_worker(self._batches(position.epoch, steps))
 
     @abstractmethod
     def _batches(self, epoch: int, steps: range) -> Iterator[Batch]:
@@ -94,7 +97,7 @@ class EpochDataset(IterableDataset[Batch]):
 
     def set_epoch(self, epoch: int) -> None:
         """Let the next `iter` begin this epoch; a state just loaded that lies in it keeps its place."""
-        epoch = whole("epoch", epoch, least=0)
+        epoch = whole("epoch", epoch, least=0, where=type(self).__name__)
         position, resumed = self._cursor.peek()
         if not (resumed and position.epoch == epoch):
             self._cursor.set(Position(epoch, 0))
@@ -126,9 +129,14 @@ class EpochDataset(IterableDataset[Batch]):
         self._cursor.set(position, resumed=True)
 
 
-def place_in_world(rank: int | None, world_size: int | None) -> tuple[int, int]:
+def _of_worker(batches: Iterator[Batch]) -> Iterator[Batch]:
+    with whole_from_worker():
+        yield from batches
+
+
+def place_in_world(rank: int | None, world_size: int | None, where: str = "ShardDataset") -> tuple[int, int]:
     """(rank, world size) as given, else of torch.distributed, else of the environment, else (0, 1)."""
     running = None
     if torch.distributed.is_available() and torch.distributed.is_initialized():
         running = torch.distributed.get_rank(), torch.distributed.get_world_size()
-    return place_among_ranks(rank, world_size, running)
+    return place_among_ranks(rank, world_size, running, where)

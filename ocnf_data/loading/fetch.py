@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ocnf_data.errors import OcnfError
@@ -29,17 +29,27 @@ _OPEN_FILES = 16
 
 @dataclass(frozen=True, eq=False)
 class RawSample:
-    """A sample as it is stored; `octrees` by member name."""
+    """A sample as it is stored; `octrees` by member name.
+
+    `showing` is empty, but where a loader may meet the same key before in an epoch: there it is another text
+    each time, so that what is drawn for the sample is drawn anew.
+    """
 
     key: str
     category: str
     meta: dict[str, Any]
     octrees: dict[str, RawOctree]
+    showing: str = ""
+
+    @property
+    def draw(self) -> str:
+        """What is drawn for the sample in an epoch is drawn by."""
+        return self.key + self.showing
 
     def moved(self, symmetry: Symmetry) -> RawSample:
         """All octrees under one symmetry; `meta` still speaks of the sample as it was."""
         octrees = {name: symmetry(octree) for name, octree in self.octrees.items()}
-        return RawSample(self.key, self.category, self.meta, octrees)
+        return replace(self, octrees=octrees)
 
 
 class Fetcher:

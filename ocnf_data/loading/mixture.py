@@ -7,14 +7,17 @@
 
 Sample i of epoch e comes from the part that (seed, e, i) draws. If it is the n-th of that part in the epoch,
 it is the part's own sample n of epoch e: a data set's samples come in the order of its epoch, each once
-before any comes again, whatever the other parts are.
+before any comes again, whatever the other parts are. What comes again in an epoch, from the same part or from
+another variant of it, is augmented anew: all but the first round of the first part by (seed, e, key, i).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +25,7 @@ import numpy as np
 from ocnf_data.arrays import I64
 from ocnf_data.errors import OcnfError
 from ocnf_data.files.records import canonical_json, sha256_hex
-from ocnf_data.loading.arguments import whole
+from ocnf_data.loading.arguments import bad_setting, whole
 from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.drawn import DrawnDataset
 from ocnf_data.loading.fetch import RawSample
@@ -50,7 +53,8 @@ class MixtureDataset(DrawnDataset):
         batch_size: samples a batch, for each rank.
         rank: number of this process, from 0, or None, with the same meaning as for `ShardDataset`.
         world_size: number of processes that train together, or None.
-        on_error: "raise", or "skip" for the part's next sample in the place of one that is damaged.
+        on_error: "raise", or "skip" for the part's next sample in the place of one that is damaged or cannot
+            be made; or a list with one of them for each part.
         uneven: "repeat" or "exact", as for `ShardDataset`.
         drop_last: leave out the last, incomplete round of batches.
         augment: "none", "rotations", "flips" or "all".
@@ -70,7 +74,7 @@ class MixtureDataset(DrawnDataset):
         batch_size: int = 1,
         rank: int | None = None,
         world_size: int | None = None,
-        on_error: str = "raise",
+        on_error: str | Sequence[str] = "raise",
         uneven: str = "repeat",
         drop_last: bool = False,
         augment: str = "none",
@@ -81,14 +85,36 @@ class MixtureDataset(DrawnDataset):
                 raise OcnfError("not a part", where="MixtureDataset", field=f"parts[{i}]",
                                 found=type(one).__name__, expected="(data set, weight)")
         supplies = [(dataset.supply(), weight) for dataset, weight in parts]
-        n_samples = whole("samples_per_epoch", samples_per_epoch, least=1)
-        self._mixed = MixtureSupply(supplies, whole("seed", seed, least=0))
+        policies = [on_error] * len(supplies) if isinstance(on_error, str) else on_error
+        if not isinstance(policies, Sequence) or len(policies) != len(supplies):
+            raise bad_setting("neither one for all parts nor one for each", "on_error", on_error,
+                              f'"raise", "skip" or a list of {len(supplies)} of them', "MixtureDataset")
+        n_samples = whole("samples_per_epoch", samples_per_epoch, least=1, where="MixtureDataset")
+        self._mixed = MixtureSupply(supplies, whole("seed", seed, least=0, where="MixtureDataset"))
         super().__init__(self._mixed, n_samples, seed=seed, batch_size=batch_size, rank=rank,
-                         world_size=world_size, on_error=on_error, uneven=uneven, drop_last=drop_last,
+                         world_size=world_size, on_error=policies, uneven=uneven, drop_last=drop_last,
                          augment=augment, max_bad_fraction=max_bad_fraction)
 
     def _order(self) -> dict[str, Any]:
-        return {"mixture": self.checksum, "parts": self._mixed.order[1:], **self._drawn_order()}
+        told = {"showings": "apart"} if self._mixed.apart else {}
+        return {"mixture": self.checksum, "parts": self._mixed.order[1:], **told, **self._drawn_order()}
+
+    def as_before(self) -> MixtureDataset:
+        """This data set, but a sample that comes again is augmented alike, as in earlier versions."""
+        self._mixed.apart = False
+        return self
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """As of every loader; a state of an earlier version goes on with samples that come again alike."""
+        ours = self._mixed.apart
+        if isinstance(state, Mapping) and state.get("mixture") in self._mixed.checksums_before:
+            state = {**state, "mixture": self.checksum}
+        self._mixed.apart = not isinstance(state, Mapping) or "showings" in state
+        try:
+            super().load_state_dict(state)
+        except OcnfError:
+            self._mixed.apart = ours
+            raise
 
 
 class MixtureSupply:
@@ -102,14 +128,33 @@ class MixtureSupply:
     def __init__(self, parts: Sequence[tuple[Supply, float]], seed: int) -> None:
         _check(parts)
         self._supplies = [supply for supply, _ in parts]
-        self._ends = np.cumsum([weight for _, weight in parts])
+        self._ends = np.cumsum([float(weight) for _, weight in parts])
         self._seed = seed
+        # Of a spawn context, which works under fork too: workers that run already see a state that is loaded.
+        self._apart = multiprocessing.get_context("spawn").RawValue("b", True)
         self._epoch = -1
         self._places = np.empty((0, 2), np.int64)
         self.request = replace(self._supplies[0].request, variant=MIXED_VARIANT)
-        self.checksum = sha256_hex(canonical_json([
+        given = [weight for _, weight in parts]
+        self.checksum = self._checksum([float(weight) for weight in given])
+        self.checksums_before = tuple(self._checksum(weights) for weights in (
+            [weight if isinstance(weight, int) else float(weight) for weight in given],
+            [int(weight) if float(weight).is_integer() else float(weight) for weight in given]))
+        """What earlier versions gave the same mixture: to them a weight of 1 was another than one of 1.0."""
+
+    def _checksum(self, weights: Sequence[float]) -> str:
+        return sha256_hex(canonical_json([
             [supply.checksum, supply.request.variant, supply.request.split, supply.request.categories, weight]
-            for supply, weight in parts]))
+            for supply, weight in zip(self._supplies, weights, strict=True)]))
+
+    @property
+    def apart(self) -> bool:
+        """Whether samples that come again in an epoch are told apart from their first showing."""
+        return bool(self._apart.value)
+
+    @apart.setter
+    def apart(self, value: bool) -> None:
+        self._apart.value = value
 
     @property
     def order(self) -> list[Any]:
@@ -126,14 +171,19 @@ class MixtureSupply:
         part, n = self.place(epoch, number)
         return self._supplies[part].key(epoch, n, attempt)
 
+    def part(self, epoch: int, number: int) -> int:
+        """Which part a sample is of."""
+        return self.place(epoch, number)[0]
+
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """The part's sample, its inputs under the mixture's name."""
         part, n = self.place(epoch, number)
         supply = self._supplies[part]
         sample = supply.sample(epoch, n, attempt)
         names = zip(supply.request.members(), self.request.members(), strict=True)
-        return replace(sample, octrees={ours: sample.octrees[theirs] for theirs, ours in names
-                                        if theirs != JSON})
+        showing = f" {number}" if self.apart and (part or sample.showing) else ""
+        return replace(sample, showing=showing, octrees={
+            ours: sample.octrees[theirs] for theirs, ours in names if theirs != JSON})
 
     def place(self, epoch: int, number: int) -> tuple[int, int]:
         """Which part a sample is of, and its number there."""
@@ -159,13 +209,20 @@ class MixtureSupply:
         return places
 
 
+def _is_weight(weight: object) -> bool:
+    try:
+        return not isinstance(weight, bool) and isinstance(weight, Real) and 0 < float(weight) < float("inf")
+    except OverflowError:  # an integer beyond all floats
+        return False
+
+
 def _check(parts: Sequence[tuple[Supply, float]]) -> None:
     """Refuse what cannot be mixed."""
     if not parts:
         raise OcnfError("there is nothing to mix", code="empty", where="MixtureDataset", field="parts")
     first = parts[0][0]
     for i, (supply, weight) in enumerate(parts):
-        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < float("inf"):
+        if not _is_weight(weight):
             raise OcnfError("not a weight", where="MixtureDataset", field=f"parts[{i}]", found=repr(weight),
                             expected="a number above 0")
         for field in ("resolutions", "encoding", "targets"):

@@ -81,6 +81,7 @@ class Partition:
         batch_size: B, samples a batch.
         rank, world_size: this process among those that train together.
         uneven: what becomes of the last samples.
+        where: whose batches they are, for messages.
     """
 
     n_samples: int
@@ -88,16 +89,17 @@ class Partition:
     rank: int
     world_size: int
     uneven: Uneven
+    where: str = "ShardDataset"
 
     def __post_init__(self) -> None:
         """Refuse what gives no batches."""
         for field, found, least in (("batch_size", self.batch_size, 1), ("world_size", self.world_size, 1),
                                     ("rank", self.rank, 0)):
             if isinstance(found, bool) or not isinstance(found, int) or found < least:
-                raise OcnfError("not a number of that kind", where="ShardDataset", field=field, found=found,
+                raise OcnfError("not a number of that kind", where=self.where, field=field, found=found,
                                 expected=f"an integer, at least {least}")
         if self.rank >= self.world_size:
-            raise OcnfError("there is no such rank", where="ShardDataset", field="rank", found=self.rank,
+            raise OcnfError("there is no such rank", where=self.where, field="rank", found=self.rank,
                             expected=f"0 to {self.world_size - 1}")
         if self.uneven is Uneven.DROP and self.n_batches == 0:
             raise OcnfError("drop_last leaves nothing", code="empty", where="ShardDataset",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from ocnf_data.loading.catalogue import Catalogue
@@ -13,7 +14,8 @@ class ShardSupply:
     """Samples of shards; see `loading.supply.Supply`.
 
     Number i of an epoch is the i-th sample of the order that `ShardDataset` would meet; behind the last one
-    the order goes on from its start. The k-th replacement of a sample is the k-th behind it.
+    the order goes on from its start. The k-th replacement of a sample is the k-th behind it. Replacements and
+    what comes a second time are showings of their own.
 
     Args:
         catalogue: the samples.
@@ -45,13 +47,19 @@ class ShardSupply:
         """The sample's key."""
         return self._catalogue.keys[self._index(epoch, number, attempt)]
 
+    def part(self, epoch: int, number: int) -> int:
+        """There is one alone."""
+        return 0
+
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """Read, check and decode a sample.
 
         Raises:
             OcnfError: names the shard, the key, the member and its byte offset.
         """
-        return self._fetcher.fetch(self._index(epoch, number, attempt))
+        sample = self._fetcher.fetch(self._index(epoch, number, attempt))
+        again = attempt > 0 or number >= len(self._order)
+        return replace(sample, showing=f" {number}") if again else sample
 
     def _index(self, epoch: int, number: int, attempt: int) -> int:
         if epoch != self._epoch:

@@ -6,6 +6,7 @@ from a mixture) is a `Supply`, and the assembler here makes its batches.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 from ocnf_data.errors import OcnfError
@@ -41,6 +42,9 @@ class Supply(Protocol):
     def key(self, epoch: int, number: int, attempt: int) -> str:
         """What `sample` is made of, for messages."""
 
+    def part(self, epoch: int, number: int) -> int:
+        """Which part of a mixture the sample is of; 0 where there is one alone."""
+
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """A sample.
 
@@ -62,12 +66,12 @@ class SupplyAssembler:
         partition: says which of an epoch's samples make a batch.
         seed: seed of the augmentation.
         augment: the group of symmetries.
-        on_error: what becomes of a sample that cannot be read or made.
+        on_error: what becomes of a sample that cannot be read or made, for each part of the supply.
         lost: counts the lost samples.
     """
 
-    def __init__(self, supply: Supply, partition: Partition, seed: int, augment: Augment, on_error: OnError,
-                 lost: LostSamples) -> None:
+    def __init__(self, supply: Supply, partition: Partition, seed: int, augment: Augment,
+                 on_error: Sequence[OnError], lost: LostSamples) -> None:
         self._supply, self._partition, self._lost = supply, partition, lost
         self._seed, self._augment, self._on_error = seed, augment, on_error
 
@@ -80,7 +84,7 @@ class SupplyAssembler:
         places, repeat = self._partition.places(step)
         lost: list[Lost] = []
         samples = tuple(self._sample(epoch, number, lost) for number in places.tolist())
-        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.key) for sample in samples)
+        symmetries = tuple(draw_symmetry(self._augment, self._seed, epoch, sample.draw) for sample in samples)
         if self._augment is not Augment.NONE:
             samples = tuple(sample.moved(move) for sample, move in zip(samples, symmetries, strict=True))
         return Assembled(samples, tuple(repeat.tolist()), symmetries, tuple(lost))
@@ -90,7 +94,8 @@ class SupplyAssembler:
             try:
                 return self._supply.sample(epoch, number, attempt)
             except OcnfError as error:
-                if self._on_error is OnError.RAISE or error.code in NOT_DAMAGE:
+                policy = self._on_error[self._supply.part(epoch, number)]
+                if policy is OnError.RAISE or error.code in NOT_DAMAGE:
                     raise
                 key = self._supply.key(epoch, number, attempt)
                 lost.append(Lost(key, error.code, str(error)))

@@ -264,9 +264,12 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
 
     Raises:
         OcnfError: the file cannot be read, is not YAML, or has fields that are unknown, missing or wrong:
-            all of them in one message, each with its path, its value and what is allowed.
+            all of them in one message, each with its path, its value and what is allowed; or a field of
+            `synthesis` would have no effect.
     """
     manifest = validate(Manifest, read_yaml(path), path)
+    if manifest.synthesis is not None:
+        manifest.synthesis.refuse_idle(path)
     manifest._folder = Path(path).absolute().parent
     return manifest
 

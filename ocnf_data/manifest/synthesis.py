@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from ocnf_data.errors import OcnfError
 from ocnf_data.files.validation import Int, Real, Strict, refused
 from ocnf_data.views.noise import NoiseModel
 
@@ -128,3 +129,32 @@ class Synthesis(Strict):
     """Number of epochs in which sample i keeps its mesh, rotation and scale, while its views, noise and
     symmetry are drawn again each time. Its ground truth, most of the work, is then made once and kept in a
     cache."""
+
+    def refuse_idle(self, where: object) -> None:
+        """Refuse a field that is not its default and would not be looked at beside the others.
+
+        Only in what a user writes: a data set that was made with such a manifest before stays readable.
+
+        Args:
+            where: the manifest, for messages.
+
+        Raises:
+            OcnfError: code `manifest`, with the field.
+        """
+        defaults = Synthesis()
+        for fields, used, reason, remedy in (
+            (("strength", "metres"), NoiseModel.KINECT in self.noise, "there is no noise of kinect",
+             "kinect among noise"),
+            (("sigma",), NoiseModel.PARK in self.noise, "there is no noise of park", "park among noise"),
+            (("up",), Rotate.UPRIGHT in self.rotate, "nothing is turned about it", "upright among rotate"),
+        ):
+            for field in fields:
+                found, default = getattr(self, field), getattr(defaults, field)
+                if not used and found != default:
+                    raise OcnfError(f"it would have no effect: {reason}", code="manifest", where=where,
+                                    field=f"synthesis.{field}", found=_plain(found),
+                                    expected=f"{_plain(default)}, or {remedy}")
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value

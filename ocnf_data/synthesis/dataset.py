@@ -80,11 +80,12 @@ class SynthesisDataset(DrawnDataset):
         samples_per_epoch: int | None = None,
         targets: bool | Sequence[int] = True,
     ) -> None:
-        chosen = None if categories is None else names("categories", categories)
-        grids = parse_resolutions(resolutions)
+        where = type(self).__name__
+        chosen = None if categories is None else names("categories", categories, where)
+        grids = parse_resolutions(resolutions, where)
         request = Request(split=split, resolutions=grids,
-                          encoding=one_of(Encoding, "encoding", encoding), variant=DRAWN_VARIANT,
-                          categories=chosen, targets=parse_targets(targets, grids))
+                          encoding=one_of(Encoding, "encoding", encoding, where), variant=DRAWN_VARIANT,
+                          categories=chosen, targets=parse_targets(targets, grids, where))
         if not isinstance(manifest, Sources):
             if not isinstance(manifest, Manifest):
                 manifest = load_manifest(manifest)
@@ -92,11 +93,11 @@ class SynthesisDataset(DrawnDataset):
         if manifest.split != split:
             raise OcnfError("the sources were opened for another split", where="SynthesisDataset",
                             field="split", found=split, expected=manifest.split)
-        supply = SynthesisSupply(manifest, request, whole("seed", seed, least=0),
+        supply = SynthesisSupply(manifest, request, whole("seed", seed, least=0, where=where),
                                  None if cache is None else Path(cache))
         n_samples = manifest.settings.samples_per_epoch if samples_per_epoch is None else samples_per_epoch
         super().__init__(supply, n_samples, seed=seed, batch_size=batch_size,
-                         rank=rank, world_size=world_size, on_error=on_error, uneven="repeat",
+                         rank=rank, world_size=world_size, on_error=[on_error], uneven="repeat",
                          drop_last=drop_last, augment=augment, max_bad_fraction=max_bad_fraction)
 
     def _order(self) -> dict[str, Any]:

@@ -55,6 +55,10 @@ class SynthesisSupply:
         """The mesh file or the shape."""
         return self._body(epoch, number, attempt).item.source
 
+    def part(self, epoch: int, number: int) -> int:
+        """There is one alone."""
+        return 0
+
     def sample(self, epoch: int, number: int, attempt: int) -> RawSample:
         """Draw and make a sample; each attempt draws another body for the same look.
 
@@ -93,6 +97,7 @@ def _facts(key: str, body: Body, look: Look) -> dict[str, Any]:
         **({} if look.directions is None or body.is_scene else {"directions": look.directions.tolist()}),
         "views": list(look.views), "noise": str(look.noise),
         **({"sigma": look.sigma} if look.noise is NoiseModel.PARK else {"strength": look.strength}),
+        **({"misaligned": look.misaligned} if look.misaligned else {}),
     }
 
 

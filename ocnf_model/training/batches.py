@@ -54,6 +54,11 @@ class GridBatch:
         """Number of samples, B."""
         return len(self.keys)
 
+    @property
+    def draws(self) -> tuple[str, ...]:
+        """What anything drawn for a sample is drawn by: its key."""
+        return self.keys
+
 
 AnyBatch = Batch | GridBatch
 

@@ -41,7 +41,7 @@ def draw_corners(truth: Structure, size: int, seed: int, epoch: int, keys: Seque
         size: trees along each axis.
         seed: seed of the run.
         epoch: number of the epoch, from 0.
-        keys: (B,) keys of the samples.
+        keys: (B,) keys of the samples, or other texts where a key is met twice in an epoch.
         boxes: N, how many of each sample; more do not change the first.
 
     Raises:

@@ -6,6 +6,7 @@ RUN/validation, so that every epoch is measured with the same ones; `--val` name
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +15,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rich.console import Console
 
 from ocnf_data.errors import OcnfError
+from ocnf_data.loading.arguments import OnError
 from ocnf_data.loading.catalogue import check_meaning
 from ocnf_data.loading.dataset import ShardDataset
 from ocnf_data.loading.epochs import EpochDataset
 from ocnf_data.loading.mixture import MixtureDataset
 from ocnf_data.shards import load_dataset
-from ocnf_model.training.inputs import with_first_variant, with_training_variant, with_validation_variant
-from ocnf_model.training.record import VALIDATION
+from ocnf_model.training.effects import refuse_idle_part
+from ocnf_model.training.inputs import (
+    refuse_unknown_variant,
+    with_first_variant,
+    with_training_variant,
+    with_validation_variant,
+)
+from ocnf_model.training.record import VALIDATION, draws_apart
 from ocnf_model.training.settings import MixturePart, TrainSettings
 
 if TYPE_CHECKING:
@@ -103,7 +111,9 @@ class StoredData:
             categories=settings.categories, seed=settings.seed,
             on_error=settings.on_error, batch_size=settings.stage(level).batch_size,
             augment=settings.augment, buffer=settings.shuffle_buffer)
-        return dataset if settings.samples_per_epoch is None else _mix([(dataset, 1.0)], settings, level)
+        if settings.samples_per_epoch is None:
+            return dataset
+        return _mix([(dataset, 1.0)], settings, level, draws_apart(folder))
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> ShardDataset:
         """The validation split."""
@@ -137,6 +147,7 @@ class DrawnData:
         given = load_manifest(path)
         self.where = path
         self._root = given.meshes_root(meshes)
+        self.reads_meshes = self._root is not None
         self._sources: Sources = open_sources(given, self._root, train_split, categories)
         self.manifest = self._sources.manifest.to_dict()
         self._val = None if val is None else OtherData.checked(val, self.manifest, path)
@@ -147,6 +158,7 @@ class DrawnData:
             return
         from ocnf_model.training.making import make_validation
 
+        refuse_unknown_variant(settings, self.manifest, self.where)
         # What is drawn for training is no part of it: a run with other draws is measured with the same one.
         manifest = self._sources.manifest.model_copy(update={"synthesis": None})
         if not any(entry.split == settings.val_split
@@ -187,6 +199,13 @@ class MixedData:
         self._base, self._parts = base, parts
         self.where, self.manifest = base.where, base.manifest
 
+    def refuse_idle(self) -> None:
+        """Refuse fields of parts that would have no effect; where a run is begun."""
+        for number, (source, part) in enumerate(self._parts):
+            drawn = isinstance(source, DrawnData)
+            names = [entry["name"] for entry in source.manifest["inputs"]] if drawn else None
+            refuse_idle_part(number, part, names, isinstance(source, DrawnData) and source.reads_meshes)
+
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
         """Prepare the data set that is validated with."""
         self._base.prepare(folder, settings, console)
@@ -195,13 +214,15 @@ class MixedData:
         """Samples of all parts."""
         from ocnf_data.synthesis.dataset import SynthesisDataset
 
-        mixed = []
-        for source, part in self._parts:
-            own = settings.model_copy(update={"variant": part.variant, "samples_per_epoch": None})
+        mixed, apart = [], draws_apart(folder)
+        for number, (source, part) in enumerate(self._parts):
+            own = settings.model_copy(update={
+                "variant": part.variant, "samples_per_epoch": None,
+                "seed": _seed_of_part(settings.seed, number) if apart else settings.seed})
             dataset = source.training(folder, own, level)
             assert isinstance(dataset, ShardDataset | SynthesisDataset)
             mixed.append((dataset, part.weight))
-        return _mix(mixed, settings, level)
+        return _mix(mixed, settings, level, apart)
 
     def validation(self, folder: Path, settings: TrainSettings, level: int) -> EpochDataset:
         """The base's validation set, in the variant that the settings name or its manifest names first."""
@@ -246,11 +267,22 @@ def _open_part(part: MixturePart, settings: TrainSettings, meshes: Path | None) 
     return open_data(part.data, settings, root if is_manifest(part.data) else None)
 
 
-def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int) -> EpochDataset:
+def _seed_of_part(seed: int, number: int) -> int:
+    """Each part's own, or two variants of a data set would come in one order; the first has the run's."""
+    if number == 0:
+        return seed
+    return int.from_bytes(hashlib.sha256(f"ocnf part {seed} {number}".encode()).digest()[:6], "little")
+
+
+def _mix(parts: Sequence[tuple[Any, float]], settings: TrainSettings, level: int,
+         apart: bool) -> EpochDataset:
     assert settings.samples_per_epoch is not None
-    return MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
-                          batch_size=settings.stage(level).batch_size, on_error=settings.on_error,
-                          augment=settings.augment)
+    # Meshes of a manifest are found to be bad as they are drawn, with or without a mixture: none stops a run.
+    policies = [settings.on_error if isinstance(part, ShardDataset) else OnError.SKIP for part, _ in parts]
+    mixture = MixtureDataset(parts, settings.samples_per_epoch, seed=settings.seed,
+                             batch_size=settings.stage(level).batch_size, on_error=policies,
+                             augment=settings.augment)
+    return mixture if apart else mixture.as_before()
 
 
 def open_validation(url: str, settings: TrainSettings, level: int, manifest: dict[str, Any]) -> ShardDataset:

@@ -5,10 +5,12 @@ A run that an earlier version began with some of them is gone on with.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import level_architecture, run_folder
 from ocnf_model.network import Output
-from ocnf_model.training.settings import TrainSettings
+from ocnf_model.training.settings import MixturePart, TrainSettings
 
 _OF_A_TSDF = ("loss", "wrong_sign", "unseen")
 _OF_A_BLEND = ("blend_from", "blend_learns")
@@ -39,6 +41,29 @@ def refuse_without_effect(settings: TrainSettings, where: object = "the settings
         # Levels that are not there begin with the blend of the level before, so none is new.
         _refuse(settings, ("blend_from",), f"{settings.start} has a blend, and keeps it",
                 "a run to start from without one", where)
+
+
+def refuse_idle_part(number: int, part: MixturePart, variants: Collection[str] | None,
+                     reads_meshes: bool) -> None:
+    """Refuse fields of a mixture's part that would not be looked at.
+
+    Args:
+        number: its place in the mixture.
+        part: what the settings say of it.
+        variants: names of the inputs of a manifest, whose variants are not drawn; None for a data set.
+        reads_meshes: whether it is a manifest that reads mesh files.
+
+    Raises:
+        OcnfError: code `manifest`, with the field.
+    """
+    at = f"mixture[{number}]"
+    if part.meshes is not None and (part.data is None or not reads_meshes):
+        reason = "the part is what the command line names" if part.data is None else \
+            "the part reads no mesh files"
+        raise no_effect(f"{at}.meshes", reason, "the settings", part.meshes, "null", "leave it out")
+    if variants is not None and part.variant is not None and part.variant not in variants:
+        raise no_effect(f"{at}.variant", "the part is a manifest, and what is drawn of one has no variants",
+                        "the settings", part.variant, "null", "leave it out")
 
 
 def refuse_extra_channels(settings: TrainSettings, where: object = "the settings") -> None:

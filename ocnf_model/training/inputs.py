@@ -33,6 +33,22 @@ def with_first_variant(settings: TrainSettings, manifest: Mapping[str, Any], whe
                     expected=str(settings.encoding))
 
 
+def refuse_unknown_variant(settings: TrainSettings, manifest: Mapping[str, Any], where: str) -> None:
+    """Refuse an encoding or a variant that a manifest does not have, before anything is made of it.
+
+    Raises:
+        OcnfError: code `missing`, with those that it has.
+    """
+    there = variants_of(manifest, settings.encoding)
+    if not there:
+        encodings = {encoding: None for entry in manifest["inputs"] for encoding in entry["encodings"]}
+        raise OcnfError("no input has the encoding", code="missing", where=where, field="encoding",
+                        found=str(settings.encoding), expected=f"one of {', '.join(map(str, encodings))}")
+    if settings.variant is not None and settings.variant not in there:
+        raise OcnfError("no inputs have that name and encoding", code="missing", where=where,
+                        field="variant", found=settings.variant, expected=f"one of {', '.join(there)}")
+
+
 def with_training_variant(settings: TrainSettings, manifest: Mapping[str, Any], where: str,
                           validation: Mapping[str, Any]) -> TrainSettings:
     """The settings with the variant to train on, where another data set is validated with.

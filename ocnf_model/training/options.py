@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ocnf_data.errors import OcnfError
+from ocnf_model.training.effects import no_effect
 from ocnf_model.training.settings import TrainSettings, load_settings, read_settings
 
 
@@ -40,6 +41,30 @@ def merge_options(file: Path | None, options: Mapping[str, Any], stage_options: 
               | {name: values[min(level, len(values) - 1)] for name, values in lists.items()}
               for level in range(n_stages)]
     return read_settings({**fields, "stages": stages}, where)
+
+
+def refuse_long_lists(levels: int, file: Path | None, stage_options: Mapping[str, str | None],
+                      shortened: bool) -> None:
+    """Refuse what is written down for more levels than there are; where a run is begun.
+
+    Args:
+        levels: how many there are.
+        file: as for `merge_options`.
+        stage_options: as for `merge_options`.
+        shortened: whether the command line says how many levels; a file may have stages for more.
+
+    Raises:
+        OcnfError: code `manifest`, with the list.
+    """
+    lengths = {f"--{name.replace('_', '-')}": len(text.split(","))
+               for name, text in stage_options.items() if text is not None}
+    if file is not None and not shortened:
+        lengths["stages"] = len(load_settings(file).get("stages", ()))
+    for name, length in lengths.items():
+        if length > levels:
+            where = file if name == "stages" else "the command line"
+            raise no_effect(name, f"there {'is 1 level' if levels == 1 else f'are {levels} levels'}",
+                            where, f"{length} entries", f"at most {levels}, or more levels")
 
 
 def parse_list(name: str, text: str) -> list[int | float]:

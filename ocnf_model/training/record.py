@@ -5,9 +5,10 @@
      "data": what the manifest says of the data set, and its checksum,
      "validation": checksum of the data set that it is validated with,
      "start": SHA-256 of the checkpoint of each level that begins with the weights of another run,
+     "apart": true where samples that are mixed are drawn apart, see `draws_apart`,
      "extended": epochs that were changed since, see `epochs`}
 
-Versions before wrote no `validation` and no `start`: what is missing is not compared.
+Versions before wrote no `validation`, no `start` and no `apart`: what is missing is not compared.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ _SCHEMA = 1
 _MAX_SETTINGS = 16 * 2**20  # bytes
 
 
-class _Sums(Strict):
-    """The checksums beside the data set's own."""
+class _Beside(Strict):
+    """What there is beside the settings and the data set."""
 
     validation: Sha256 | None = None
     start: tuple[Sha256, ...] | None = None
+    apart: bool = False
 
 
 @dataclass(frozen=True)
@@ -51,19 +53,22 @@ class RunRecord:
             not write it.
         start: SHA-256 of the checkpoints that its levels begin with, from the first level on; None where a
             version began it that did not write them, or where it starts from no run.
+        apart: whether its samples are drawn as `draws_apart` says; not where nothing is mixed.
     """
 
     settings: TrainSettings
     data: TrainingData
     validation: str | None = None
     start: tuple[str, ...] | None = None
+    apart: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
         sums = {"validation": self.validation, "start": None if self.start is None else list(self.start)}
         return {"schema": _SCHEMA, "settings": self.settings.to_dict(),
                 "data": self.data.model_dump(mode="json"),
-                **{name: value for name, value in sums.items() if value is not None}}
+                **{name: value for name, value in sums.items() if value is not None},
+                **({"apart": True} if self.apart else {})}
 
 
 def is_begun(folder: Path) -> bool:
@@ -89,9 +94,19 @@ def read_record(folder: Path) -> RunRecord:
         raise OcnfError("not JSON", code="damaged", where=where, found=error) from error
     if not isinstance(fields, dict) or fields.get("schema") != _SCHEMA:
         raise OcnfError("not the settings of a run of this version", code="schema", where=where)
-    sums = validate(_Sums, {name: fields[name] for name in _Sums.model_fields if name in fields}, where)
+    beside = {name: fields[name] for name in _Beside.model_fields if name in fields}
     return RunRecord(read_settings(fields.get("settings"), where),
-                     validate(TrainingData, fields.get("data"), where), sums.validation, sums.start)
+                     validate(TrainingData, fields.get("data"), where),
+                     **dict(validate(_Beside, beside, where)))
+
+
+def draws_apart(folder: Path) -> bool:
+    """Whether the parts of a run's mixture have seeds of their own, and what comes again in an epoch is new.
+
+    A run that an earlier version began goes on without either, as it was begun: its parts share one seed, and
+    a sample that comes again is the same.
+    """
+    return not is_begun(folder) or read_record(folder).apart
 
 
 def refuse_strangers(folder: Path) -> None:

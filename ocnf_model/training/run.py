@@ -6,7 +6,8 @@
     RUN/curves.csv             a line an epoch
     RUN/tensorboard/           the curves by step
     RUN/validation/            the data set that a manifest's validation split was made into
-    RUN/cache/                 ground truth that epochs share, where a manifest says so; may be deleted
+    RUN/cache/                 ground truth that epochs share, where a manifest says so, while the run lasts;
+                               may be deleted
 
 >>> train("out", "run", TrainSettings(levels=2))           # doctest: +SKIP
 >>> load_run("run")                                        # doctest: +SKIP
@@ -14,6 +15,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
@@ -30,7 +32,7 @@ from ocnf_model.header import TrainingData
 from ocnf_model.network import Normaliser, OctNetFusion, Output, widths_at
 from ocnf_model.training.beginning import check_start, first_network, like_the_start, start_checksums
 from ocnf_model.training.curves import Reporter, write_curves
-from ocnf_model.training.data import DataSource, StoredData, open_data
+from ocnf_model.training.data import CACHE, DataSource, MixedData, StoredData, open_data
 from ocnf_model.training.effects import refuse_extra_channels, refuse_without_effect
 from ocnf_model.training.epochs import changed_epochs, check_epochs, write_epochs
 from ocnf_model.training.record import (
@@ -64,7 +66,7 @@ def train(data: str | Path | DataSource, out: str | Path,
         device: `auto`, `cpu`, `cuda`, `cuda:1`.
         console: where the progress is shown; None for the terminal's error stream.
         meshes: the folder that a manifest's mesh paths are relative to.
-        val: a data set whose split `val` is to be validated with, in state of that of `data`.
+        val: a data set whose split `val` is to be validated with, instead of that of `data`.
 
     Returns:
         The network with the best weights of every level, in evaluation mode, on the device.
@@ -91,6 +93,8 @@ def train(data: str | Path | DataSource, out: str | Path,
         settings = asked.resolved(source.manifest, None, source.where)
         if not is_begun(folder):
             refuse_without_effect(settings)
+            if isinstance(source, MixedData):
+                source.refuse_idle()
         if world.is_main:
             _prepare(source, folder, settings, console)
         world.wait()
@@ -152,6 +156,8 @@ def _run(source: DataSource, folder: Path, settings: TrainSettings, network: Oct
                     save_state(folder, state)
             world.wait()
         load_level(folder, network, level)
+    if world.is_main:  # more epochs would make anew what they need of it
+        shutil.rmtree(folder / CACHE, ignore_errors=True)
     return network.eval()
 
 
@@ -181,7 +187,8 @@ def _begin(source: DataSource, folder: Path, settings: TrainSettings, network: O
         The state that it goes on from, with its tensors, as `load_state`.
     """
     ours = RunRecord(settings, _training_data(source, folder, settings),
-                     source.validation(folder, settings, 0).checksum, start_checksums(settings))
+                     source.validation(folder, settings, 0).checksum, start_checksums(settings),
+                     apart=settings.samples_per_epoch is not None)
     if not is_begun(folder):
         refuse_strangers(folder)
         write_record(folder, ours)

@@ -134,7 +134,8 @@ class TrainSettings(Strict):
     precision: Precision = Precision.FLOAT32
     """What the convolutions compute in."""
     on_error: OnError = OnError.RAISE
-    """What becomes of a damaged sample of a data set. (Bad meshes of a manifest give place to others.)"""
+    """What becomes of a damaged sample of a data set. (Bad meshes of a manifest give place to others, also in
+    a mixture.)"""
     checkpointing: bool = False
     """Keep fewer activations for the backward pass, and compute them again."""
     workers: Annotated[Int, Field(ge=0)] = 1
@@ -142,7 +143,8 @@ class TrainSettings(Strict):
     best_by: BestBy = BestBy.MAD_AND_F_SCORE
     """Which epoch's weights are a level's best checkpoint, and what the next level is trained on."""
     save_every: Positive = 50
-    """Steps of the optimiser between two saved states, apart from those at the ends of epochs."""
+    """Steps of the optimiser between two saved states, apart from those at the ends of epochs and where a
+    quarter of an hour has gone by since the last."""
 
     @model_validator(mode="after")
     def _context_sees_everything(self) -> TrainSettings:

@@ -34,6 +34,9 @@ from ocnf_model.training.train_state import EpochRow, TrainState, restore, save_
 from ocnf_model.training.validation import Validation, Validator
 from ocnf_model.training.world import World
 
+SAVE_SECONDS = 15 * 60.0
+"""The longest that steps go without a saved state: what a power cut costs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Job:
@@ -79,6 +82,7 @@ class Trainer:
         self._n_steps = self._stage.epochs * math.ceil(len(job.training) / self._stage.accumulate)
         decay = job.settings.average
         self._average = WeightAverage(self._level, decay) if decay else None
+        self._saved = time.monotonic()
         restore(tensors, self._level, self._optimiser, self._average)
         if state.loader is not None:
             job.training.load_state_dict(state.loader)
@@ -126,7 +130,7 @@ class Trainer:
             state.loader = self._job.training.state_dict(batch)
             self._report.advance(f"loss {loss:.5f}")
             self._report.step(state.steps, loss, self._optimiser.param_groups[0]["lr"])
-            if state.steps % self._job.settings.save_every == 0 and state.step < n_batches:
+            if state.step < n_batches and self._is_due():
                 self._save()
 
     def _backward(self, batch: AnyBatch, n_batches: int) -> Tensor:
@@ -140,7 +144,7 @@ class Trainer:
             losses = loss(self._forward(example).raw, example.target, "none", weights=weights)
         else:
             size = self._stage.crop // TREE_WIDTH
-            corners = draw_corners(example.target.structure, size, settings.seed, batch.epoch, batch.keys,
+            corners = draw_corners(example.target.structure, size, settings.seed, batch.epoch, batch.draws,
                                    self._stage.crops)
             with self._precision():
                 losses = crop_losses(self._job.network, example, self._state.level, corners, size, loss,
@@ -251,7 +255,13 @@ class Trainer:
     def _precision(self) -> torch.autocast:
         return autocast(self._job.settings.precision, self._job.world.device)
 
+    def _is_due(self) -> bool:
+        """Whether it is time for a state; the main rank's clock counts, as it writes alone."""
+        return self._state.steps % self._job.settings.save_every == 0 or \
+            time.monotonic() - self._saved >= SAVE_SECONDS
+
     def _save(self) -> None:
+        self._saved = time.monotonic()
         if self._job.world.is_main:
             save_state(self._job.folder, self._state, self._level, self._optimiser, self._average)
 

@@ -268,11 +268,30 @@ def test_no_access_is_not_damage(fresh, monkeypatch):
         list(dataset)
 
 
-def test_a_worker_s_error_reaches_the_main_process_with_its_facts(fresh):
+@pytest.mark.parametrize("options", [{}, {"pin_memory": True}, {"persistent_workers": True},
+                                     {"multiprocessing_context": "spawn"}], ids=str)
+@pytest.mark.filterwarnings("ignore:.*pin_memory")
+def test_a_worker_s_error_reaches_the_main_process_with_all_its_parts(fresh, options):
     url, tar = fresh
     flip(tar, members(tar)[3][1]["offset"])
-    with pytest.raises(OcnfError) as caught:
-        list(DataLoader(everything(url), batch_size=None, num_workers=2))
+    dataset = everything(url)
+    alone = failure(dataset, num_workers=0)
     key, member = members(tar)[3]
-    for fact in (str(tar), f"{key}.{member['name']} at byte {member['offset']}", "SHA-256"):
-        assert fact in str(caught.value)
+    assert (alone.where, alone.code) == (str(tar), "checksum")
+    assert alone.field == f"{key}.{member['name']} at byte {member['offset']}"
+    ours = failure(dataset, num_workers=1, **options)
+    assert type(ours) is OcnfError and vars(ours) == vars(alone) and str(ours) == str(alone)
+
+
+def test_so_does_that_of_too_many_losses(fresh):
+    url, tar = fresh
+    tar.unlink()  # the error names the last of the lost, within its own message
+    dataset = everything(url, on_error="skip", max_bad_fraction=0.2)
+    ours = failure(dataset, num_workers=2)
+    assert ours.code == "too_many_bad" and ours.where == "ShardDataset" and "Traceback" not in str(ours)
+
+
+def failure(dataset, **options):
+    with pytest.raises(OcnfError) as caught:
+        list(DataLoader(dataset, batch_size=None, **options))
+    return caught.value

@@ -8,6 +8,8 @@ from torch.utils.data import DataLoader
 
 from ocnf_data import MixtureDataset, ShardDataset
 from ocnf_data.errors import OcnfError
+from ocnf_data.files.records import canonical_json, sha256_hex
+from ocnf_data.loading.augment import Augment, draw_symmetry
 
 N = 60
 
@@ -149,6 +151,70 @@ def test_a_state_of_parts_in_another_order_is_refused(two, changed):
     of().load_state_dict(before)
 
 
+def showings(dataset, epoch=0):
+    """(key, symmetry, what is drawn by) of each sample of an epoch."""
+    dataset.set_epoch(epoch)
+    return [one for batch in dataset for one in zip(batch.keys, batch.symmetries, batch.draws, strict=True)]
+
+
+def test_a_sample_that_comes_again_in_an_epoch_is_drawn_for_anew(two):
+    def once(epoch):
+        alone = part(two[0], "v4", augment="all")
+        alone.set_epoch(epoch)
+        return [(batch.keys[0], batch.symmetries[0], batch.draws[0]) for batch in alone]
+
+    mixture = MixtureDataset([(part(two[0], "v4"), 1)], N, rank=0, world_size=1, augment="all")
+    for epoch in range(2):
+        met = showings(mixture, epoch)
+        assert met[:7] == once(epoch)  # the first round is a plain pass
+        assert len({draw for _, _, draw in met}) == N
+        for key in {key for key, _, _ in met}:  # eight or nine times; 48 symmetries
+            assert len({symmetry for of, symmetry, _ in met if of == key}) > 4
+    both = [(part(two[0], variant), 1) for variant in ("v1", "v4")]
+    met = showings(MixtureDataset(both, 14, rank=0, world_size=1, augment="all"))
+    assert len({draw for _, _, draw in met}) == 14 > len({key for key, _, _ in met})
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_state_of_an_earlier_version_goes_on_with_what_comes_again_alike(two, workers):
+    dataset, before = mixed(two, augment="all"), mixed(two, augment="all").as_before()
+    state = {name: value for name, value in dataset.state_dict().items() if name != "showings"}
+    assert state == before.state_dict()
+    loader = DataLoader(dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0)
+    ours = [contents(batch) for batch in loader]
+    dataset.load_state_dict(state)  # while there are workers
+    alike = [contents(batch) for batch in loader]
+    assert alike == [contents(batch) for batch in before] != ours
+    for key, symmetry, draw in showings(before):
+        assert draw == key and symmetry == draw_symmetry(Augment.ALL, 0, 0, key)
+    assert "showings" not in dataset.state_dict()
+    dataset.load_state_dict(mixed(two, augment="all").state_dict())
+    assert [contents(batch) for batch in loader] == ours
+    with pytest.raises(OcnfError):
+        dataset.load_state_dict({**state, "seed": 1})
+    assert "showings" in dataset.state_dict()  # a state that is refused changes nothing
+
+
+def test_a_weight_is_a_number_whatever_its_type(two):
+    state, one = mixed(two, weights=(2, 1, 1)).state_dict(), mixed(two, weights=(2.0, 1, 1.0))
+    one.load_state_dict(state)
+    mixed(two, weights=(np.int64(2), np.float32(1), True + 0)).load_state_dict(state)
+    assert one.checksum == mixed(two, weights=(2, 1, 1)).checksum
+    for weight in (True, np.inf, np.nan, -1, 10**400, "1"):
+        with pytest.raises(OcnfError, match="not a weight"):
+            mixed(two, weights=(2, 1, weight))
+    # Earlier versions hashed weights as they were given: those states go on, under either spelling.
+    named = [[part(two[0], "v4"), "v4"], [part(two[0], "v1"), "v1"], [part(two[1], "v2"), "v2"]]
+    before = [sha256_hex(canonical_json([[data.checksum, variant, "train", None, weight]
+                                         for (data, variant), weight in zip(named, weights, strict=True)]))
+              for weights in ((2, 1, 1), (2.0, 1, 1.0), (2.0, 1.0, 1.0))]
+    assert len({*before, one.checksum}) == 3 and one.checksum == before[2]
+    for checksum in before:
+        one.load_state_dict({**state, "mixture": checksum})
+    with pytest.raises(OcnfError, match="mixture: the state is of a run with another order"):
+        one.load_state_dict({**state, "mixture": [checksum]})
+
+
 def test_a_damaged_sample_gives_its_place_to_the_part_s_next(two, sets, tmp_path):
     url = sets.write(tmp_path / "bad", {"train": [5]}, {"v2": ["histogram"]}, prefix="u")
     path = tmp_path / "bad" / "train" / "shard-000000.tar"
@@ -164,6 +230,41 @@ def test_a_damaged_sample_gives_its_place_to_the_part_s_next(two, sets, tmp_path
     assert [batch.keys[0] for batch in batches] == [whole[1], *whole[1:]]
     assert [[lost.key for lost in batch.lost] for batch in batches] == [["u000"], [], [], [], []]
     assert dataset.lost(0) == [0]
+
+
+def test_each_part_may_have_its_own_way_with_damage(two, sets, tmp_path):
+    def flipped(name, prefix):
+        url = sets.write(tmp_path / name, {"train": [5]}, {"v2": ["histogram"]}, prefix=prefix)
+        path = tmp_path / name / "train" / "shard-000000.tar"
+        data = bytearray(path.read_bytes())
+        data[700] ^= 1
+        path.write_bytes(data)
+        return part(url, "v2")
+
+    parts = [(flipped("one", "u"), 1), (flipped("other", "w"), 1)]
+
+    def lost(on_error):
+        dataset = MixtureDataset(parts, 40, rank=0, world_size=1, on_error=on_error, max_bad_fraction=1.0)
+        return {one.key for batch in dataset for one in batch.lost}
+
+    assert lost("skip") == lost(["skip", "skip"]) == {"u000", "w000"}
+    for policies, stopped in ((["skip", "raise"], "w000"), (["raise", "skip"], "u000")):
+        with pytest.raises(OcnfError, match=stopped):
+            lost(policies)
+    for policies in (["skip"], None, ["skip", "no"]):
+        with pytest.raises(OcnfError, match="MixtureDataset: on_error"):
+            lost(policies)
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [{"seed": -1}, {"batch_size": 0}, {"augment": "some"}, {"rank": 3}, {"rank": None}, {"uneven": "no"},
+     {"on_error": "no"}, {"drop_last": 1}, {"max_bad_fraction": 2}],
+    ids=str,
+)
+def test_an_argument_that_is_refused_is_the_mixture_s(two, argument):
+    with pytest.raises(OcnfError, match=f"^MixtureDataset: {next(iter(argument))}: "):
+        mixed(two, **argument)
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocnf_data import generate
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.plan import list_items, make_plan
-from ocnf_data.manifest import Manifest
+from ocnf_data.manifest import Manifest, load_manifest
 from ocnf_data.manifest.synthesis import Directions, Rotate, Synthesis
 from ocnf_data.shards import load_dataset
 
@@ -83,6 +84,39 @@ def test_the_section_changes_nothing_of_a_generated_data_set(tmp_path: Path) -> 
 def test_what_is_wrong_is_named(section: dict[str, Any], message: str) -> None:
     with pytest.raises(OcnfError, match=f"(?i){message}"):
         with_section(**section)
+
+
+@pytest.mark.parametrize(("idle", "used", "message"), [
+    ({"metres": 0.5}, {"noise": {"park": 1, "kinect": 1}}, "metres.*found 0.5, expected 1.0, or kinect"),
+    ({"strength": [0, 2]}, {"noise": "kinect"}, r"strength.*found \[0.0, 2.0\], expected.*or kinect"),
+    ({"sigma": [0, 0.1], "noise": "kinect"}, {"noise": {"park": 1, "kinect": 1}}, "sigma.*or park"),
+    ({"up": "y", "rotate": "any"}, {"rotate": {"any": 1, "upright": 2}}, "up.*found y.*or upright"),
+], ids=str)
+def test_what_would_have_no_effect_is_refused_in_a_file(idle, used, message, tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+
+    def load(section: dict[str, Any]) -> Manifest:
+        path.write_text(yaml.safe_dump({**FIELDS, "synthesis": section}))
+        return load_manifest(path)
+
+    with pytest.raises(OcnfError, match=rf"m\.yaml: synthesis\.{message}") as caught:
+        load(idle)
+    assert caught.value.code == "manifest"
+    manifest = load({**idle, **used})
+    path.write_text(yaml.safe_dump(manifest.to_dict()))  # with all defaults filled in
+    assert load_manifest(path) == manifest
+    with_section(**idle)  # as a data set of an earlier version has it: that can still be read
+
+
+REPOSITORY = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize("path", [
+    *sorted((REPOSITORY / "manifests").glob("*.yaml")),
+    *sorted((REPOSITORY / "ocnf_model/pretrained").rglob("*manifest*.yaml")),
+], ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_those_that_come_along_are_valid(path: Path) -> None:
+    load_manifest(path)
 
 
 def test_what_belongs_to_scenes_needs_some() -> None:

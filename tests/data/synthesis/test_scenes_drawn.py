@@ -237,3 +237,11 @@ def test_poses_that_do_not_fit_change_the_input_alone(mixed: Any) -> None:
         shares.append(len(plain.data) != len(found.data) or not np.array_equal(plain.data, found.data))
     assert sum(shares) >= 3  # views may look past all there is
     assert len({draw_look(sources[1], 0, 0, number).misaligned for number in range(20)}) == 20
+
+
+def test_a_sample_says_how_far_off_its_poses_are(small: Any) -> None:
+    for off in ([0.0, 0.0], [1.0, 2.0]):
+        sources = open_sources(small({"samples_per_epoch": 3, "misaligned": off}), None, "train")
+        for number, batch in enumerate(SynthesisDataset(sources, [16], "tsdf", rank=0, world_size=1)):
+            look = draw_look(sources, 0, 0, number)
+            assert batch.meta[0].get("misaligned", 0.0) == look.misaligned

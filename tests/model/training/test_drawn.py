@@ -17,16 +17,19 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import ocnf_data.generation.account as account
-from ocnf_data import generate
+from ocnf_data import MixtureDataset, ShardDataset, generate
 from ocnf_data.errors import OcnfError
 from ocnf_data.generation.outcome import Report
 from ocnf_data.generation.records import Failure
 from ocnf_data.manifest import Manifest
+from ocnf_data.meshes.writing import WRITERS
+from ocnf_data.shapes import make_shape
 from ocnf_model.checkpoint import open_run
 from ocnf_model.cli import app
+from ocnf_model.training.crops import draw_corners
 from ocnf_model.training.data import open_data
 from ocnf_model.training.run import train
-from ocnf_model.training.train_state import load_state
+from ocnf_model.training.train_state import load_state, save_state
 
 from .conftest import MANIFEST
 from .test_processes import ENVIRONMENT, TRAINS_UNTIL_KILLED
@@ -114,6 +117,26 @@ def test_a_killed_run_ends_with_the_same_weights(manifest, variants, small, tmp_
     assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
+def test_ground_truths_that_epochs_share_go_with_the_end_and_are_not_missed(
+        manifest, small, tmp_path, monkeypatch) -> None:
+    there: list[bool] = []
+
+    def noting(folder, *others):
+        there.append((folder / "cache").is_dir())
+        save_state(folder, *others)
+
+    monkeypatch.setattr("ocnf_model.training.stage.save_state", noting)
+    whole, longer = tmp_path / "whole", tmp_path / "longer"
+    settings = small(stages=STAGES, levels=1)
+    train(manifest, whole, settings, device="cpu")
+    assert all(there) and not (whole / "cache").exists()
+    train(manifest, longer, small(stages=[{**STAGES[0], "epochs": 1}], levels=1), device="cpu")
+    train(manifest, longer, settings, device="cpu")  # goes on within a season of two epochs
+    assert not (longer / "cache").exists()
+    ours, theirs = (load_state(folder)[1] for folder in (longer, whole))
+    assert ours.keys() == theirs.keys() and all(ours[name].equal(theirs[name]) for name in ours)
+
+
 def test_a_run_stopped_while_making_the_validation_set_is_taken_up(manifest, small, out, monkeypatch) -> None:
     def stop(*arguments: object) -> None:
         raise KeyboardInterrupt
@@ -157,6 +180,66 @@ def test_a_mixture_draws_variants_and_the_network_is_not_told(variants, manifest
     assert {1, 2, 3} & set(drawn)
     assert source.validation(out, settings, 0).variant == "v1"  # the manifest's first, if nobody says
     assert source.validation(out, settings.model_copy(update={"variant": "v4"}), 0).variant == "v4"
+
+
+def test_a_bad_mesh_of_a_part_gives_place_to_another(tiny, small, tmp_path) -> None:
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    for number in range(3):
+        shape = make_shape("table", 0, number, "train")
+        (meshes / f"m{number}.off").write_bytes(WRITERS[".off"](shape.vertices, shape.faces))
+    (meshes / "bad.off").write_text("OFF\n3 1 0\n0 0 0\n")
+    path = tmp_path / "part.yaml"
+    path.write_text(yaml.safe_dump({**MANIFEST, "source": {"kind": "folder", "shares": {"train": 1.0}}}))
+    settings = small(levels=1, samples_per_epoch=400, mixture=[
+        {"weight": 1e-3}, {"data": str(path), "meshes": str(meshes)}])
+    assert settings.on_error == "raise"  # which is about data sets
+    dataset = open_data(tiny, settings).training(tmp_path, settings, 0)
+    lost = [one.key for _, batch in zip(range(8), dataset, strict=False) for one in batch.lost]
+    assert lost and set(lost) == {"bad.off"}
+
+
+def test_parts_are_drawn_by_seeds_of_their_own(variants, small, out) -> None:
+    settings = small(levels=1, samples_per_epoch=60, seed=3, augment="all",
+                     mixture=[{"variant": name} for name in ("v1", "v2", "v4")])
+
+    def orders() -> list[list[str]]:
+        dataset = open_data(variants, settings).training(out, settings, 0)
+        assert isinstance(dataset, MixtureDataset)
+        met: list[list[str]] = [[], [], []]
+        for i, draw in enumerate(draw for batch in dataset for draw in batch.draws):
+            met[dataset.supply().part(0, i)].append(draw)
+        return met
+
+    def keys(met: list[str]) -> list[str]:
+        return [draw.split(" ")[0] for draw in met[:5]]
+
+    first, second, third = orders()
+    assert sorted(keys(first)) == sorted(keys(second)) == sorted(keys(third))  # each of the five
+    assert len({tuple(keys(met)) for met in (first, second, third)}) == 3
+    assert first[:5] == [batch.keys[0] for batch in ShardDataset(variants, "train", 32, "tsdf", "v1", seed=3)]
+    one_seed = settings.model_copy(update={"stages": (settings.stage(0).model_copy(update={"epochs": 1}),)})
+    train(variants, out, one_seed.model_copy(update={"samples_per_epoch": 2}), device="cpu")
+    assert orders() == [first, second, third]
+    record = out / "settings.json"  # as an earlier version wrote it
+    record.write_text(record.read_text().replace('"apart": true,', ""))
+    before = orders()
+    assert keys(before[0]) == keys(before[1]) == keys(before[2]) == keys(first)
+    assert all(" " not in draw for met in before for draw in met)
+
+
+def test_boxes_of_a_sample_that_comes_again_are_others(tiny, small, out, monkeypatch) -> None:
+    names: list[str] = []
+
+    def noting(truth, size, seed, epoch, keys, boxes=1):
+        names.extend(keys)
+        return draw_corners(truth, size, seed, epoch, keys, boxes)
+
+    monkeypatch.setattr("ocnf_model.training.stage.draw_corners", noting)
+    settings = small(levels=1, resolutions=[64], samples_per_epoch=10, stages=[{**STAGES[0], "epochs": 1,
+                                                                                "crop": 64}])
+    train(tiny, out, settings, device="cpu")
+    assert len(names) == len(set(names)) == 10
 
 
 def test_an_epoch_of_a_plain_data_set_may_have_another_length(tiny, small, out) -> None:
@@ -255,6 +338,39 @@ def test_what_a_manifest_lacks_is_said(small, tmp_path, out, tiny) -> None:
             train(str(path), out, small(levels=1), device="cpu", val=val)
     with pytest.raises(OcnfError, match="needs no meshes"):
         train(tiny, out, small(levels=1), device="cpu", meshes=tmp_path)
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"variant": "v3"}, r"drawn.yaml: variant: no inputs have that name.*found v3, expected one of v2"),
+    ({"encoding": "histogram"}, "drawn.yaml: encoding: .*found histogram, expected one of tsdf, tdf_"),
+])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_inputs_that_a_manifest_lacks_are_said_before_its_validation_set_is_made(
+        changes, message, mixed, manifest, small, out) -> None:
+    settings = small(levels=1, **changes, **({"mixture": [{}], "samples_per_epoch": 2} if mixed else {}))
+    with pytest.raises(OcnfError, match=message) as caught:
+        train(manifest, out, settings, device="cpu")
+    assert caught.value.code == "missing" and not (out / "validation").exists()
+
+
+@pytest.mark.parametrize(("part", "message"), [
+    ({"data": "MANIFEST", "variant": "v3"}, r"mixture\[1\].variant: it would have no effect: .*found v3"),
+    ({"data": "MANIFEST", "meshes": "/nowhere"}, r"mixture\[1\].meshes: .*no mesh files; found /nowhere"),
+    ({"data": "VARIANTS", "variant": "v1", "meshes": "/nowhere"}, r"mixture\[1\].meshes: .*no mesh files"),
+    ({"variant": "v1", "meshes": "/nowhere"}, r"mixture\[1\].meshes: .*what the command line names"),
+])
+def test_what_has_no_effect_on_a_part_is_refused_where_a_run_is_begun(
+        part, message, manifest, variants, small, out, monkeypatch) -> None:
+    named = {"MANIFEST": manifest, "VARIANTS": variants}
+    part = part | ({"data": named[part["data"]]} if "data" in part else {})
+    settings = small(levels=1, samples_per_epoch=2, variant="v1", mixture=[{"variant": "v2"}, part])
+    with pytest.raises(OcnfError, match=message) as caught:
+        train(variants, out, settings, device="cpu")
+    assert caught.value.code == "manifest" and not out.exists()
+    with monkeypatch.context() as patch:
+        patch.setattr("ocnf_model.training.data.refuse_idle_part", lambda *arguments: None)
+        train(variants, out, settings, device="cpu")
+    train(variants, out, settings, device="cpu")  # a run of an earlier version goes on
 
 
 def made_of(samples: int, failed: int) -> Report:

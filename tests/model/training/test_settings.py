@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from ocnf_data.errors import OcnfError
 from ocnf_model.checkpoint import PRETRAINED, SHIPPED
+from ocnf_model.cli import app
 from ocnf_model.training.effects import refuse_without_effect
 from ocnf_model.training.options import merge_options
 from ocnf_model.training.run import train
@@ -151,3 +154,29 @@ def test_what_had_no_effect_in_a_run_of_before_lets_it_go_on(tiny, small, tmp_pa
 def test_the_settings_of_the_shipped_networks_have_an_effect(name: str) -> None:
     fields = load_settings(SHIPPED[PRETRAINED] / name)
     refuse_without_effect(read_settings({**fields, "output": "tsdf"}, name))
+
+
+@pytest.mark.parametrize(("text", "arguments", "message"), [
+    ("levels: 1", ["--epochs", "1,2,3"], "the command line: --epochs: .* is 1 level; found 3 entries, "),
+    ("levels: 2", ["--learning-rate", "1,2,3"], "--learning-rate: .* there are 2 levels; found 3 entries, "),
+    ("{levels: 1, stages: [{epochs: 1}, {epochs: 2}]}", [], r"s\.yaml: stages: .* found 2 entries"),
+])
+def test_what_is_said_for_more_levels_than_there_are_is_refused(text, arguments, message, tiny,
+                                                                tmp_path: Path) -> None:
+    file, out = tmp_path / "s.yaml", tmp_path / "run"
+    file.write_text(text)
+    result = CliRunner().invoke(app, ["train", tiny, "--out", str(out), "--settings", str(file), *arguments])
+    assert isinstance(result.exception, OcnfError) and result.exception.code == "manifest"
+    assert re.search(message, str(result.exception)), str(result.exception)
+    assert not out.exists()
+
+
+def test_a_file_may_have_stages_for_levels_that_the_command_line_leaves_out(tiny, tmp_path: Path) -> None:
+    file, out = tmp_path / "s.yaml", tmp_path / "run"
+    file.write_text("{levels: 2, encoding: tsdf, channels: [2, 2, 2], workers: 0, stages: "
+                    "[{epochs: 1, batch_size: 1}, {epochs: 2}]}")
+    begin = ["train", tiny, "--out", str(out), "--settings", str(file), "--device", "cpu", "--levels"]
+    assert CliRunner().invoke(app, [*begin, "1"]).exit_code == 0
+    file.write_text(file.read_text().replace("levels: 2", "levels: 1"))
+    result = CliRunner().invoke(app, begin[:-1])  # a run that is begun is gone on with
+    assert result.exit_code == 0, result.exception

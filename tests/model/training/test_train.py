@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from ocnf_model.network import OctNetFusion
 from ocnf_model.training.batches import to_octree_batch
 from ocnf_model.training.objective import LOSSES
 from ocnf_model.training.run import train
-from ocnf_model.training.train_state import load_state
+from ocnf_model.training.train_state import load_state, save_state
 
 
 def stage(**changes) -> dict:
@@ -213,6 +214,21 @@ def test_what_is_not_finite_stops_the_run_and_names_the_samples(where, tiny, sma
     assert len(load_state(out)[0].rows) == 3
 
 
+@pytest.mark.parametrize("seconds", [0.0, 3600.0])
+def test_a_state_is_saved_where_the_last_is_too_old(seconds, tiny, small, out, monkeypatch) -> None:
+    saved: list[tuple[int, int]] = []
+
+    def noting(folder, state, *others):
+        saved.append((state.epoch, state.steps))
+        save_state(folder, state, *others)
+
+    monkeypatch.setattr("ocnf_model.training.stage.save_state", noting)
+    monkeypatch.setattr("ocnf_model.training.stage.SAVE_SECONDS", seconds)
+    train(tiny, out, small(levels=1, stages=[stage(epochs=2, accumulate=1)], save_every=1000), device="cpu")
+    ends = [(0, 3), (1, 3), (1, 6), (2, 6)]  # of training and of validation, three steps an epoch
+    assert saved == (ends if seconds else sorted([*ends, (0, 1), (0, 2), (1, 4), (1, 5)]))
+
+
 def _epoch(tiny, epoch):
     dataset = ShardDataset(tiny, "train", 32, "tsdf", batch_size=2)
     dataset.set_epoch(epoch)
@@ -255,3 +271,20 @@ def test_the_command_line_trains(tiny, out) -> None:
     assert load_run(out).channels == (2, 2, 2)
     result = CliRunner().invoke(app, [*arguments, "--seed", "3"])
     assert isinstance(result.exception, OcnfError) and result.exception.field == "seed"
+
+
+def test_a_damaged_sample_is_named_alike_with_and_without_workers(tiny, small, tmp_path) -> None:
+    damaged = shutil.copytree(tiny, tmp_path / "set")
+    for tar in (damaged / "train").glob("*.tar"):
+        content = bytearray(tar.read_bytes())
+        content[1024 + 4] ^= 1  # in the first payload
+        tar.write_bytes(content)
+    found = []
+    for workers in (0, 1):
+        settings = small(stages=[{"epochs": 1, "batch_size": 1, "accumulate": 1}], levels=1, workers=workers)
+        with pytest.raises(OcnfError) as caught:
+            train(str(damaged), tmp_path / f"run{workers}", settings, device="cpu")
+        found.append(caught.value)
+    alone, ours = found
+    assert alone.code == "checksum" and alone.where.endswith(".tar") and alone.field
+    assert vars(ours) == vars(alone) and str(ours) == str(alone)
