@@ -130,7 +130,7 @@ class _WorkerError(OcnfError):
 
 @contextmanager
 def whole_from_worker() -> Iterator[None]:
-    """Errors in here, in a `DataLoader`'s worker, are raised in the main process with all their parts."""
+    """An OcnfError in here, in a `DataLoader`'s worker, is raised in the main process with all its parts."""
     try:
         yield
     except OcnfError as error:

@@ -59,7 +59,11 @@ class Pair:
                    target.refined(structure).features.to(dtype))
 
     def weighed(self, costs: Tensor, weights: OctreeBatch | None) -> Tensor:
-        """(L, C) values of cells times the weights there; weights nowhere finer than the cells, None: 1."""
+        """(L, C) values of cells times the weights there; weights nowhere finer than the cells, None: 1.
+
+        Raises:
+            OcnfError: the weights have other than 1 channel, are of other grids, or are finer somewhere.
+        """
         if weights is None:
             return costs
         if weights.channels != 1:

@@ -64,7 +64,11 @@ class ExportSample:
 
     @cached_property
     def resolution(self) -> int:
-        """Voxels along a side: what the settings say, or the largest that the sample has."""
+        """Voxels along a side: what the settings say, or the largest that the sample has.
+
+        Raises:
+            OcnfError: the sample has no ground truth of that resolution, or none at all (`missing`).
+        """
         known = sorted(parse_member(name)[2] for name in self._octrees if name.startswith("target-"))
         wanted = self.settings.resolution or max(known, default=None)
         if wanted is None or wanted not in known:

@@ -35,7 +35,7 @@ def split_url(text: str) -> tuple[str, str]:
 
 
 def checked_name(name: str) -> str:
-    """The name, if it is a plain relative POSIX path that stays inside the store."""
+    """The name; OcnfError (`refused`) unless it is a plain relative POSIX path inside the store."""
     parts = name.split("/")
     if any(part in ("", ".", "..") for part in parts) or "\\" in name or "\0" in name:
         raise OcnfError("not a name inside the store", code="refused", where=repr(name),

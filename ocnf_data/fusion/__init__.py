@@ -115,7 +115,11 @@ _FUSIONS: dict[Encoding, _Fusion] = {
 
 def fuse(views: Views | DepthPyramid, encoding: Encoding, resolution: Resolution, extent: float = 3.0,
          truncation: float | None = None, *, centre: Centre = (0.0, 0.0, 0.0)) -> GridOctree:
-    """Fuse into the given encoding; arguments as for `fuse_tsdf`."""
+    """Fuse into the given encoding; arguments as for `fuse_tsdf`.
+
+    Raises:
+        OcnfError: there is no such encoding, beside what `fuse_tsdf` raises.
+    """
     if encoding not in tuple(Encoding):
         raise OcnfError("no such encoding", where="fusion", field="encoding", found=encoding,
                         expected=" or ".join(Encoding))

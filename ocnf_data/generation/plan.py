@@ -170,6 +170,7 @@ def make_keys(entries: Sequence[Entry], limit: int = MAX_KEY) -> list[str]:
 
     `chair/train/chair_0001.off` becomes `chair_0001`, `car/train/m 1.obj` becomes `car-train-m_1-0c26bd6b`:
     where characters had to go, or two keys would be alike, a digest of the path tells them apart.
+    OcnfError where a key that an entry brings is too long, or two are alike all the same.
     """
     wanted = [_readable(entry) for entry in entries]
     plain = [re.sub(r"[^A-Za-z0-9_-]", "_", name) for name in wanted]

@@ -46,7 +46,12 @@ def mean_absolute_difference(a: GridOctree, b: GridOctree) -> float:
 
 
 def collect(url: str, split: str | None, band_samples: int, mad: bool = False) -> Columns:
-    """Values in percent (MAD: millimetres) by column and category; `all` is every category together."""
+    """Values in percent (MAD: millimetres) by column and category; `all` is every category together.
+
+    Raises:
+        OcnfError: the data set cannot be read, or has no sample of `split` (`empty`); with `mad` also if no
+            input is stored as TSDF beside a TSDF ground truth.
+    """
     info = load_dataset(url)
     manifest = Manifest.from_dict(info.manifest)
     fused = [v.name for v in manifest.inputs if Encoding.TSDF in v.encodings] if mad else []
@@ -128,7 +133,11 @@ def _mean(values: list[float]) -> str:
 
 
 def draw(columns: Columns, path: Path) -> None:
-    """A box plot a column, by category."""
+    """A box plot a column, by category.
+
+    Raises:
+        OcnfError: matplotlib is not installed (`missing_extra`), or the file cannot be written.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -27,35 +27,35 @@ class OnError(StrEnum):
 
 
 def one_of(kind: type[_Choice], field: str, value: object, where: str = _SHARDS) -> _Choice:
-    """The member of an enumeration that has this value."""
+    """The member of an enumeration that has this value, or OcnfError."""
     if isinstance(value, str) and value in list(kind):
         return kind(value)
     raise bad_setting("not one of the choices", field, value, ", ".join(kind), where)
 
 
 def whole(field: str, value: object, least: int, where: str = _SHARDS) -> int:
-    """An integer from `least` on (a bool is none)."""
+    """An integer from `least` to 2^53 (a bool is none), or OcnfError."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= _LARGEST:
         raise bad_setting("not a number of that kind", field, value, f"an integer, at least {least}", where)
     return value
 
 
 def flag(field: str, value: object, where: str = _SHARDS) -> bool:
-    """True or False; a text such as "no" would count as true."""
+    """True or False, or OcnfError; a text such as "no" would count as true."""
     if not isinstance(value, bool):
         raise bad_setting("neither true nor false", field, value, "True or False", where)
     return value
 
 
 def fraction(field: str, value: object, where: str = _SHARDS) -> float:
-    """A number from 0 to 1."""
+    """A number from 0 to 1, or OcnfError."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
         raise bad_setting("not a share", field, value, "0 to 1", where)
     return float(value)
 
 
 def names(field: str, value: object, where: str = _SHARDS) -> tuple[str, ...]:
-    """One or more texts, each once; a single one may stand alone."""
+    """One or more texts or paths, each once, or OcnfError; a single one may stand alone."""
     if isinstance(value, str | os.PathLike):
         value = [value]
     listed = list(value) if isinstance(value, Sequence) else []
@@ -66,7 +66,7 @@ def names(field: str, value: object, where: str = _SHARDS) -> tuple[str, ...]:
 
 
 def parse_resolutions(value: object, where: str = _SHARDS) -> tuple[int, ...]:
-    """The resolutions: one or more, each once, multiples of 8; a single one may stand alone."""
+    """The resolutions, or OcnfError: one or more, each once, multiples of 8; a single one may stand alone."""
     listed = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     checked = tuple(whole("resolutions", resolution, 8, where) for resolution in listed)
     if not checked or len(set(checked)) != len(checked) or any(resolution % 8 for resolution in checked):
@@ -76,7 +76,7 @@ def parse_resolutions(value: object, where: str = _SHARDS) -> tuple[int, ...]:
 
 
 def parse_targets(value: object, resolutions: tuple[int, ...], where: str = _SHARDS) -> tuple[int, ...]:
-    """Resolutions of the ground truth: all of `resolutions` (True), none (False), or some."""
+    """Resolutions of the ground truth: all of `resolutions` (True), none (False), or some; else OcnfError."""
     if isinstance(value, bool):
         return resolutions if value else ()
     chosen = parse_resolutions(value, where)
@@ -94,6 +94,10 @@ def place_among_ranks(rank: int | None, world_size: int | None,
         world_size: world size given by the user together with the rank, or None.
         running: rank and world size of torch.distributed, where it is initialised.
         where: the class that they are given to.
+
+    Raises:
+        OcnfError: one of `rank` and `world_size` is given alone; or RANK or WORLD_SIZE in the environment is
+            no whole number, or WORLD_SIZE is above 1 and RANK is not set.
     """
     if (rank is None) != (world_size is None):
         field = "rank" if rank is None else "world_size"

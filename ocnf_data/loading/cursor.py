@@ -80,6 +80,9 @@ class Cursor:
         Args:
             worker: the worker's number.
             identity: identity of the iteration; None for one without workers.
+
+        Raises:
+            OcnfError: the worker's number is not below `MAX_WORKERS`, or the lock is held for a minute.
         """
         if not 0 <= worker < MAX_WORKERS:
             raise OcnfError("too many workers", where="DataLoader", field="num_workers",

@@ -94,7 +94,7 @@ def no_root(where: object = None) -> OcnfError:
 
 
 def given(root: Path | None) -> Path:
-    """The root folder, or the error that nobody gave one."""
+    """The root folder; OcnfError (`missing`) where nobody gave one."""
     if root is None:
         raise no_root()
     return root

@@ -86,7 +86,12 @@ class FolderSource(Strict):
         return tuple(split for split in SPLITS if getattr(self.shares, split))
 
     def entries(self, root: Path | None, seed: int = 0) -> list[Entry]:
-        """The entries by split and path; then the hidden files."""
+        """The entries by split and path; then the hidden files.
+
+        Raises:
+            OcnfError: no root is given, or it cannot be listed; or it has no mesh that the patterns take
+                (`empty`).
+        """
         base = given(root)
         below = list(_meshes_below(base))
         taken = [path for path in below if self._takes(path)]

@@ -47,7 +47,12 @@ def encode(octree: GridOctree, kind: str) -> bytes:
 
 
 def encode_raw(raw: RawOctree) -> bytes:
-    """The bytes of an octree that is already in its stored form; equal octrees give equal bytes."""
+    """The bytes of an octree that is already in its stored form; equal octrees give equal bytes.
+
+    Raises:
+        OcnfError: more than `MAX_RESOLUTION` voxels along an axis, or more than `MAX_DECODED_BYTES` before
+            compression (`too_large`).
+    """
     header = _header(raw.kind, raw.shape, raw.n_leaves)
     words = raw.trees.astype("<u8", copy=False)
     content = b"".join((

@@ -127,6 +127,9 @@ class GridOctree:
 
         Returns:
             (N, C) float32.
+
+        Raises:
+            OcnfError: `zyx` is not integers (N, 3), or a voxel lies outside the volume.
         """
         voxels = np.asarray(zyx)
         if voxels.ndim != 2 or voxels.shape[1] != 3 or voxels.dtype.kind not in "iu":
@@ -160,7 +163,11 @@ class GridOctree:
 
 
 def mean_on(trees: TreeArray, values: F32) -> F32:
-    """Means of a (C, D, H, W) float32 volume over the leaves of given trees: (n_leaves, C) float32."""
+    """Means of a (C, D, H, W) float32 volume over the leaves of given trees: (n_leaves, C) float32.
+
+    Raises:
+        OcnfError: `trees` are no trees, `values` is no such volume or not finite, or they differ in size.
+    """
     trees, values = check_trees(trees), _check_volume(values)
     if trees.shape[:3] != _grid_of(values):
         raise OcnfError("trees and volume differ in size", field="values", found=values.shape[1:],

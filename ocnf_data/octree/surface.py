@@ -56,6 +56,10 @@ def octree_surface(octree: GridOctree, extent: float = 3.0, level: float = 0.0,
 
     Returns:
         vertices (N, 3) in metres, x y z, and faces (M, 3); both empty where nothing is below `level`.
+
+    Raises:
+        OcnfError: `level` is not between -1 and 1, the octree has not 1 channel, or scikit-image is not
+            installed (`missing_extra`).
     """
     if not -1 < level < 1:  # NaN is refused too
         raise OcnfError("not a level between inside and free", where="octree_surface", field="level",

@@ -27,6 +27,10 @@ def pack(arrays: Mapping[str, npt.NDArray[Any]], meta: object) -> str:
     """The string of some arrays of uint8, uint16 or uint32, and of what JSON can hold beside them.
 
     One-dimensional uint8 arrays go as they are: they are pictures, compressed already, or single colours.
+
+    Raises:
+        TypeError: an array of another type, or something in `meta` that JSON cannot hold.
+        ValueError: a number in `meta` that is not finite.
     """
     header: dict[str, list[Any]] = {}
     body = bytearray()

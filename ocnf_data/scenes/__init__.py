@@ -46,7 +46,11 @@ def scene_mesh(draft: Draft) -> Mesh:
 
 
 def draft_scene(kind: str, seed: int, index: int, split: str) -> Draft:
-    """The things of a scene one by one."""
+    """The things of a scene one by one, in metres; `make_scene` joins them.
+
+    Raises:
+        OcnfError: a kind that is not in SCENES.
+    """
     if kind not in _BUILDERS:
         raise OcnfError("no such kind of scene", field="kind", found=kind, expected=", ".join(SCENES))
     return _BUILDERS[kind](Draw("ocnf.scenes.1", seed, kind, split, index), Draft(seed, split))

@@ -115,7 +115,11 @@ class SampleFacts(BaseModel):
 
 
 def read_facts(payload: bytes, where: object) -> SampleFacts:
-    """Key, category, source and leaf counts out of a `json` member."""
+    """Key, category, source and leaf counts out of a `json` member.
+
+    Raises:
+        OcnfError: it is no JSON, or one of them is missing or of another type (`json`).
+    """
     try:
         return SampleFacts.model_validate_json(payload)
     except ValidationError as error:
@@ -151,7 +155,7 @@ def make_entry(key: str, hashes: Mapping[str, tuple[int, str]], json: bytes, off
 
 
 def check_split(split: str) -> str:
-    """The split's name, if a folder of a data set may have it."""
+    """The split's name; OcnfError (`name`) unless a folder of a data set may have it."""
     if not _SPLIT.fullmatch(split) or split in _FOLDERS:
         raise OcnfError("not a name for a split", code="name", where=repr(split),
                         expected="1 to 32 of a-z 0-9 _, such as train, val or test")
@@ -159,7 +163,7 @@ def check_split(split: str) -> str:
 
 
 def shard_name(number: int) -> str:
-    """`shard-000007.tar`."""
+    """`shard-000007.tar`; OcnfError (`name`) for a number below 0 or of more than six digits."""
     if not 0 <= number <= 999_999:
         raise OcnfError("a shard's number has six digits", code="name", found=number)
     return f"shard-{number:06d}.tar"

@@ -53,7 +53,7 @@ _TYPES = {
 
 
 def check_key(key: str) -> str:
-    """The key, if a sample may have it: 1 to 64 of `A-Z a-z 0-9 _ -`."""
+    """The key; OcnfError (`name`) unless a sample may have it: 1 to 64 of `A-Z a-z 0-9 _ -`."""
     if not _KEY.fullmatch(key):
         raise OcnfError("not a sample key", code="name", where=repr(key),
                         expected=f"1 to {MAX_KEY} characters of A-Z a-z 0-9 _ -")
@@ -61,7 +61,11 @@ def check_key(key: str) -> str:
 
 
 def check_member(member: str) -> str:
-    """The member name, if it is on the list: `json`, `target-RES.oct`, `VARIANT-ENCODING-RES.oct`."""
+    """The member name, if it is on the list: `json`, `target-RES.oct`, `VARIANT-ENCODING-RES.oct`.
+
+    Raises:
+        OcnfError: it is not (`name`).
+    """
     if member != JSON and not _MEMBER.fullmatch(member):
         raise OcnfError("not a member that a sample may have", code="name", where=repr(member),
                         expected=f"json, target-RES.oct or VARIANT-ENCODING-RES.oct with one of {_ENCODINGS}")
@@ -79,7 +83,11 @@ def input_member(variant: str, encoding: Encoding | str, resolution: int) -> str
 
 
 def parse_member(member: str) -> tuple[str, Encoding | None, int]:
-    """(variant, encoding, resolution) of an octree member; a target is ("target", None, resolution)."""
+    """(variant, encoding, resolution) of an octree member; a target is ("target", None, resolution).
+
+    Raises:
+        OcnfError: no member has that name, or it is `json` (`name`).
+    """
     match = _MEMBER.fullmatch(check_member(member))
     if match is None:
         raise OcnfError("not an octree", code="name", where=repr(member))
@@ -89,7 +97,11 @@ def parse_member(member: str) -> tuple[str, Encoding | None, int]:
 
 
 def tar_name(key: str, member: str) -> str:
-    """The checked name of a member in the tar, `KEY.MEMBER`; at most 100 characters."""
+    """The checked name of a member in the tar, `KEY.MEMBER`; at most 100 characters.
+
+    Raises:
+        OcnfError: it is longer, or key or member is none (`name`).
+    """
     name = f"{check_key(key)}.{check_member(member)}"
     if len(name) > MAX_NAME:
         raise OcnfError("a member's name is too long for a tar", code="name", where=name, found=len(name),
@@ -98,7 +110,7 @@ def tar_name(key: str, member: str) -> str:
 
 
 def split_name(name: str) -> tuple[str, str]:
-    """(key, member) of a name in the tar, both checked."""
+    """(key, member) of a name in the tar; OcnfError (`name`) unless a sample may have both."""
     key, _, member = name.partition(".")
     if tar_name(key, member) != name:
         raise OcnfError("not a member's name", code="name", where=repr(name))
@@ -121,7 +133,11 @@ def stored_size(size: int) -> int:
 
 
 def make_header(key: str, member: str, size: int) -> bytes:
-    """The 512 bytes before a payload: a pure function of its arguments."""
+    """The 512 bytes before a payload of `size` bytes: a pure function of its arguments.
+
+    Raises:
+        OcnfError: `size` is below 0 or above `max_size` (`too_large`), or the name cannot be (`name`).
+    """
     if not 0 <= size <= max_size(member):
         raise OcnfError("a member has an impossible size", code="too_large", where=f"{key}.{member}",
                         found=size, expected=f"0 to {max_size(member)} bytes")

@@ -62,14 +62,14 @@ class ShardWriter:
 
     @property
     def index(self) -> ShardIndex:
-        """The shard's index; there once the block has ended."""
+        """The shard's index; there once the block has ended, before that OcnfError."""
         if self._index is None:
             raise OcnfError("the shard is not finished", where=shard_path(self.split, self.shard))
         return self._index
 
     @property
     def entry(self) -> ShardEntry:
-        """What `dataset.json` says of the shard; there once the block has ended."""
+        """What `dataset.json` says of the shard; there once the block has ended, before that OcnfError."""
         return ShardEntry.of(self.index)
 
     def add(self, key: str, members: Mapping[str, bytes], timings: Mapping[str, float] | None = None) -> None:

@@ -70,6 +70,10 @@ def restore_index(url: str | Store, split: str, shard: str) -> bool:
 
     Returns:
         False where the tar is not whole: then the shard has to be generated again.
+
+    Raises:
+        OcnfError: there is no finished data set, it lists no such shard (`missing`), or its files cannot be
+            read or written.
     """
     store = url if isinstance(url, Store) else Store(url)
     for entry_split, entry in load_dataset(store).shards():
@@ -126,6 +130,9 @@ def quarantine(url: str | Store, path: str) -> list[str]:
 
     Returns:
         The new names, in the data set. The index goes first: from then on the shard does not count as done.
+
+    Raises:
+        OcnfError: `path` is not a shard's (`name`), or the files cannot be moved.
     """
     if not is_shard(path):
         raise OcnfError("not a shard's path", code="name", where=repr(path),

@@ -55,6 +55,9 @@ def add_noise(depth: F32, sigma: float, noise: F32) -> F32:
 
     Returns:
         (..., H, W) float32, a new array.
+
+    Raises:
+        OcnfError: `sigma` is negative or not finite, or `noise` has another shape.
     """
     if not (np.isfinite(sigma) and sigma >= 0):
         raise OcnfError("sigma is not a noise level", where="add_noise", field="sigma", found=sigma,

@@ -35,6 +35,9 @@ def rig_from_name(name: str) -> F64:
 
     >>> rig_from_name("icosphere1").shape, rig_from_name("fibonacci100").shape
     ((80, 3), (100, 3))
+
+    Raises:
+        OcnfError: no rig has that name, or its number is out of range.
     """
     if name == "published80":
         return published80()
@@ -62,6 +65,9 @@ def icosphere(n_subdivisions: int) -> F64:
 
     Edge midpoints are pushed out to the unit sphere after each split. The four children of face i are faces
     4i .. 4i + 3: the one at each corner, then the one in the middle.
+
+    Raises:
+        OcnfError: `n_subdivisions` is not 0 to 5.
     """
     if not 0 <= n_subdivisions <= _MAX_SUBDIVISIONS:
         raise OcnfError("number of subdivisions out of range", field="rig", found=n_subdivisions,
@@ -76,7 +82,11 @@ def icosphere(n_subdivisions: int) -> F64:
 
 
 def fibonacci(n: int) -> F64:
-    """The n nearly evenly spread directions (n, 3) of the Fibonacci spiral, from near +z down to near -z."""
+    """The n nearly evenly spread directions (n, 3) of the Fibonacci spiral, from near +z down to near -z.
+
+    Raises:
+        OcnfError: `n` is not 1 to 20480.
+    """
     if not 1 <= n <= _MAX_DIRECTIONS:
         raise OcnfError("number of views out of range", field="rig", found=n,
                         expected=f"1 to {_MAX_DIRECTIONS}")
@@ -91,6 +101,10 @@ def look_from(directions: F64, distance: float) -> tuple[F64, F64]:
     """Poses (R (N, 3, 3), T (N, 3) metres), world to camera, of the cameras of `directions` (N, 3).
 
     All of them look at the origin from `distance` metres; see the module's docstring for the convention.
+
+    Raises:
+        OcnfError: `directions` are not (N, 3), finite and none of them zero, or `distance` is not finite and
+            above 0.
     """
     t = np.asarray(directions, dtype=np.float64)
     if t.ndim != 2 or t.shape[1] != 3 or not np.isfinite(t).all() or not np.linalg.norm(t, axis=1).all():
@@ -114,6 +128,9 @@ def view_subset(n_rig: int, k: int) -> I64:
 
     >>> view_subset(80, 4)
     array([ 0, 26, 52, 79])
+
+    Raises:
+        OcnfError: `k` is not 1 to `n_rig`.
     """
     if not 1 <= k <= n_rig:
         raise OcnfError("cannot choose that many views", field="views", found=k, expected=f"1 to {n_rig}")

@@ -110,7 +110,15 @@ def path_inside(n: int, seed: int, key: str, low: Sequence[float], high: Sequenc
         clearance: gives the distance to the nearest surface in metres (see the module); None: nothing is in
             the way.
         margin: metres that have to be free around the whole path.
-        watched: a point (x, y, z) that the cameras look at on the same walk, instead of turning around.
+        watched: a point (x, y, z), metres, that the cameras look at on the same walk, instead of turning
+            around.
+
+    Returns:
+        R (n, 3, 3), T (n, 3) metres, world to camera.
+
+    Raises:
+        OcnfError: a number of views, a box or a margin that is impossible, or no path that is free
+            (`crowded`).
     """
     corner, size = np.array(low, dtype=np.float64), np.subtract(high, low)
     _check(n, float(size.min()), margin)

@@ -27,7 +27,11 @@ class Scores:
 
     @classmethod
     def of(cls, occupied: Bool, predicted: Bool, judged: Bool) -> Scores:
-        """The figures of a frame; all three (D, H, W) bool, and voxels that are not judged do not count."""
+        """The figures of a frame; all three (D, H, W) bool, and voxels that are not judged do not count.
+
+        Raises:
+            OcnfError: the three differ in size.
+        """
         if not occupied.shape == predicted.shape == judged.shape:
             raise OcnfError("volumes differ in size", where="Scores", field="predicted",
                             found=predicted.shape, expected=f"{occupied.shape}")
@@ -38,7 +42,7 @@ class Scores:
 
     @classmethod
     def mean(cls, scores: Sequence[Scores]) -> Scores:
-        """The unweighted mean over frames."""
+        """The unweighted mean over frames; OcnfError (`empty`) where there are none."""
         if not scores:
             raise OcnfError("no frames to average", code="empty", where="Scores")
         return cls(*(float(np.mean([getattr(one, name) for one in scores]))

@@ -40,11 +40,15 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
     """A PNG of one model's surfaces.
 
     Args:
-        surfaces: vertices and faces of each surface by (resolution, method), columns in the order in which
-            they are met; `TRUTH` comes last. What is missing leaves its place empty.
+        surfaces: vertices (N, 3) and faces (M, 3) of each surface by (resolution, method), columns in the
+            order in which they are met; `TRUTH` comes last. What is missing leaves its place empty.
         title: title of the figure.
         up: the axis that points up, y or z.
         captions: what stands below each surface, by (resolution, method); None for none.
+
+    Raises:
+        OcnfError: matplotlib is not installed (`missing_extra`).
+        KeyError: the ground truth of the finest resolution, which frames all pictures, is missing.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -46,7 +46,11 @@ class DatasetFacts:
 
     @classmethod
     def read(cls, url: str) -> DatasetFacts:
-        """The facts of the data set at a folder or URL."""
+        """The facts of the data set at a folder or URL.
+
+        Raises:
+            OcnfError: its manifest lacks what is needed (`damaged`), beside what `load_dataset` raises.
+        """
         info = load_dataset(url)
         manifest: dict[str, Any] = dict(info.manifest)
         try:

@@ -202,6 +202,9 @@ class OctNetFusion(nn.Module):
         Returns:
             Names of the weights that stay as they were: the first layer's, which reads other channels, and
             those of layers that do not have all of the same shapes.
+
+        Raises:
+            OcnfError: there is no such level, or none before it.
         """
         if not 0 < level < len(self.levels):
             raise OcnfError("no level before this one", where="OctNetFusion", field="level", found=level,
@@ -214,7 +217,11 @@ class OctNetFusion(nn.Module):
         return [name for name in own if name not in fitting]
 
     def set_checkpointing(self, on: bool) -> None:
-        """Whether the backward pass computes the activations within a block again, to keep fewer."""
+        """Whether the backward pass computes the activations within a block again, to keep fewer.
+
+        Raises:
+            OcnfError: it is switched on for a network with batch normalisation.
+        """
         if on and self.normalise is Normaliser.BATCH:
             raise OcnfError("batch normalisation would count every batch twice", where="OctNetFusion",
                             field="checkpointing", found=True, expected="false, or normalise: none")

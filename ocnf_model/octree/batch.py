@@ -52,7 +52,11 @@ class OctreeBatch:
 
     @classmethod
     def from_grids(cls, grids: Sequence[GridOctree]) -> OctreeBatch:
-        """Octrees of one size and number of channels, as float32 on the CPU."""
+        """Octrees of one size and number of channels, as float32 on the CPU.
+
+        Raises:
+            OcnfError: there are none (`empty`), or they differ in size or channels.
+        """
         structure = Structure.of_grids(grids)
         for b, grid in enumerate(grids):
             if grid.channels != grids[0].channels:
@@ -62,7 +66,11 @@ class OctreeBatch:
 
     @classmethod
     def full(cls, dense: Tensor) -> OctreeBatch:
-        """(B, C, D, H, W) floating point, D, H, W multiples of 8: every leaf a voxel; differentiable."""
+        """(B, C, D, H, W) floating point, D, H, W multiples of 8: every leaf a voxel; differentiable.
+
+        Raises:
+            OcnfError: `dense` is something else.
+        """
         if not isinstance(dense, Tensor) or dense.ndim != 5 or not dense.is_floating_point() \
                 or any(n % TREE_WIDTH or not n for n in dense.shape[2:]):
             raise OcnfError("not a batch of volumes", where="OctreeBatch.full", field="dense",

@@ -21,7 +21,11 @@ def concat(a: OctreeBatch, b: OctreeBatch) -> OctreeBatch:
 
 
 def on_structure_of(a: OctreeBatch, b: OctreeBatch, where: str) -> torch.Tensor:
-    """Features (L of a, C of b): the means of `b` over the leaves of `a`."""
+    """Features (L of a, C of b): the means of `b` over the leaves of `a`.
+
+    Raises:
+        OcnfError: the batches differ in size, dtype or device.
+    """
     a.structure.check_same_grid(b.structure, where)
     if (a.features.dtype, a.device) != (b.features.dtype, b.device):
         raise OcnfError("the operands differ in dtype or device", where=where,

@@ -90,6 +90,11 @@ def reconstruct(scan: Scan, pyramid: DepthPyramid, fuser: Fuser, region: Region,
     """The surface of a region of a scan whose depth pyramid is made; arguments as for `fuse_scan`.
 
     `stages` is told what is being done.
+
+    Raises:
+        OcnfError: no surface was found in the region (`empty`); the voxels would need more memory than there
+            is (`too_large`), or are no size; `faces` is no number of faces; or a library is not installed
+            (`missing_extra`).
     """
     stages = stages or StageLog()
     if faces is not None:

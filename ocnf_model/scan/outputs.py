@@ -24,7 +24,7 @@ _MAX_DENSE = 2**31
 
 
 def check_picture(path: Path) -> None:
-    """`check_target` for a PNG, and whether there is what draws it."""
+    """Raise OcnfError unless a PNG of this name can be written and matplotlib, which draws it, is there."""
     check_target(path, (".png",))
     try:
         import matplotlib  # noqa: F401

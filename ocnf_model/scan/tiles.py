@@ -101,7 +101,10 @@ def plan_tiles(region: Region, voxel: float, resolution: int, overlap: int) -> T
         region: only its box matters.
         voxel: metres.
         resolution: voxels along each axis of a tile, a multiple of 8.
-        overlap: voxels that neighbours share, a multiple of 8 below half the resolution.
+        overlap: voxels that neighbours share, a multiple of 8, at most half the resolution.
+
+    Raises:
+        OcnfError: `overlap` is none.
     """
     if overlap % _TREE or not 0 <= overlap <= resolution // 2:
         raise OcnfError("not an overlap of tiles", field="overlap", found=overlap,

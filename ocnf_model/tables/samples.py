@@ -63,7 +63,11 @@ def encoding_seconds(path: Path, method: Method, resolution: int) -> dict[str, f
 
 
 def read_lines(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV file, by the names of its columns."""
+    """The lines of a CSV file, by the names of its columns.
+
+    Raises:
+        OcnfError: the file cannot be read, or has no line below its head (`damaged`).
+    """
     with storage_errors(path), path.open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     if not lines:

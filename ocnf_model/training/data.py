@@ -153,7 +153,7 @@ class DrawnData:
         self._val = None if val is None else OtherData.checked(val, self.manifest, path)
 
     def prepare(self, folder: Path, settings: TrainSettings, console: Console) -> None:
-        """Make the validation set, if it is not there yet; say what failed of it."""
+        """Make the validation set, if it is not there yet, or raise OcnfError; say what failed of it."""
         if self._val is not None:
             return
         from ocnf_model.training.making import make_validation
@@ -234,9 +234,9 @@ def open_data(data: str, settings: TrainSettings, meshes: Path | None = None,
     """A manifest's or a data set's samples, by the name's ending, or those of the settings' mixture.
 
     Args:
-        data: path of a manifest (.yaml, .yml, .json), else folder or URL of a data set.
-        settings: settings of the run.
-        meshes: the folder that a manifest's mesh paths are relative to.
+        data: path of a manifest (.yaml, .yml, .json), else folder or URL of a data set; OcnfError if neither.
+        settings: settings of the run; OcnfError for a mixture without `samples_per_epoch`.
+        meshes: the folder that a manifest's mesh paths are relative to; OcnfError for a data set alone.
         val: a data set to validate with.
     """
     if settings.mixture is not None:

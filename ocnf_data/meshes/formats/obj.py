@@ -24,6 +24,10 @@ def parse_obj(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
 
     Corners may be `v`, `v/vt`, `v//vn` or `v/vt/vn`, counted from 1, or backwards from the last vertex
     defined above the face when negative. Polygons are fanned. The file's vertex order is kept.
+
+    Raises:
+        OcnfError: the file is not a whole OBJ file (`unreadable`), or has more than `max_faces` triangles
+            (`too_large`).
     """
     text = plain_text(data)
     if b"\\\n" in text:  # a line continued on the next

@@ -22,7 +22,12 @@ _HEADER = re.compile(rb"\s*(?:ST)?C?N?OFF\s*(\d{1,12})\s+(\d{1,12})(?:[ \t]+-?\d
 
 
 def parse_off(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
-    """Vertices (N, 3) and triangles (M, 3) of an ASCII OFF file; polygons are fanned, colours ignored."""
+    """Vertices (N, 3) and triangles (M, 3) of an ASCII OFF file; polygons are fanned, colours ignored.
+
+    Raises:
+        OcnfError: the file is not a whole OFF file (`unreadable`), or has more than `max_faces` faces or
+            triangles (`too_large`).
+    """
     text = plain_text(data)
     header = _HEADER.match(text)
     if header is None:

@@ -70,7 +70,12 @@ class _Element:
 
 
 def parse_ply(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
-    """Vertices (N, 3) and triangles (M, 3) of a PLY file; polygons are fanned."""
+    """Vertices (N, 3) and triangles (M, 3) of a PLY file; polygons are fanned.
+
+    Raises:
+        OcnfError: the file is not a whole PLY file (`unreadable`), or has more than `max_faces` faces or
+            triangles (`too_large`).
+    """
     header = _HEADER.match(data, 0, _MAX_HEADER)
     if header is None:
         raise unreadable("not a PLY file, or its header has no end", where)

@@ -65,6 +65,9 @@ def parse_numbers(text: U8, where: str, dtype: type) -> tuple[npt.NDArray, I64]:
 
     Returns:
         values (n,) of `dtype`, and counts (lines,): how many of them stand on each line, blank ones too.
+
+    Raises:
+        OcnfError: something in it is not a number of that kind (`unreadable`).
     """
     counts = _tokens_per_line(text).astype(np.int64)
     if not counts.any():  # numpy reads a number out of pure white space
@@ -96,7 +99,7 @@ def fan(corners: npt.NDArray, first: I64, n_corners: I64) -> npt.NDArray:
 
 
 def check_indices(faces: npt.NDArray, n_vertices: int, where: str) -> I64:
-    """`faces` (M, 3) as int64, or the error for an index that is no vertex."""
+    """`faces` (M, 3) as int64; OcnfError (`unreadable`) for an index that is no vertex."""
     bad = ~((faces >= 0) & (faces < n_vertices))
     if faces.dtype.kind == "f":
         bad |= faces != np.floor(faces)

@@ -22,7 +22,12 @@ _VERTEX = re.compile(rb"\bvertex\b([^\n]*\n)", re.IGNORECASE)
 
 
 def parse_stl(data: bytes, where: str, max_faces: int) -> tuple[F64, I64]:
-    """Vertices (3 M, 3) and triangles (M, 3); binary if it holds as many as it claims, else ASCII."""
+    """Vertices (3 M, 3) and triangles (M, 3); binary if it holds as many as it claims, else ASCII.
+
+    Raises:
+        OcnfError: the file is not a whole STL file (`unreadable`), or has more than `max_faces` triangles
+            (`too_large`).
+    """
     n = int.from_bytes(data[80:_HEADER_BYTES], "little")
     size = _HEADER_BYTES + n * _RECORD.itemsize
     # Some programs write something more behind the triangles. Text is never taken for binary: its characters
