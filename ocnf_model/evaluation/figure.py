@@ -28,8 +28,8 @@ def caption(row: Row) -> str:
         ((row.mad_mm, f"MAD {row.mad_mm:.2f} mm"), (seen, f"seen {seen:.2f}"),
          (unseen, f"unseen {unseen:.2f}")),
         ((surface.f_score, f"F {surface.f_score:.2f}"),
-         (surface.chamfer_voxels, f"Chamfer {surface.chamfer_voxels:.2f} voxels"),
-         (surface.normal_consistency, f"normals {surface.normal_consistency:.2f}"),
+         (surface.chamfer_voxels, f"Chamfer {surface.chamfer_voxels:.2f} voxels")),
+        ((surface.normal_consistency, f"normals {surface.normal_consistency:.2f}"),
          (surface.recall_thin, f"thin {surface.recall_thin:.2f}")))
     texts = (", ".join(text for value, text in line if not math.isnan(value)) for line in lines)
     return "\n".join(text for text in texts if text)
@@ -60,7 +60,7 @@ def draw_surfaces(surfaces: Mapping[tuple[int, str], MeshArrays], title: str, up
     frame = surfaces[resolutions[-1], TRUTH][0]
     if not len(frame):
         frame = np.array([[-1.5] * 3, [1.5] * 3])
-    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, (_INCHES + 0.25) * len(resolutions) + 0.6),
+    figure = Figure(figsize=(_INCHES * len(methods) + 0.4, (_INCHES + 0.35) * len(resolutions) + 0.6),
                     dpi=150, layout="constrained")
     axes = figure.subplots(len(resolutions), len(methods), squeeze=False)
     for row, resolution in enumerate(resolutions):

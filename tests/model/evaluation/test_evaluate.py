@@ -292,7 +292,7 @@ def test_a_caption_has_what_is_known_of_error_and_surface() -> None:
               regions=Regions(0.25, 0.5, 0.125, 0.25, 0.25, 0.125),
               surface=SurfaceFigures(0.5, 20.0, 0.75, 0.8, 0.7, 0.9, math.nan, 0.6, 0.7))
     assert caption(row) == ("MAD 1.50 mm, seen 0.88, unseen 0.62\n"
-                            "F 0.75, Chamfer 0.50 voxels, normals 0.90")
+                            "F 0.75, Chamfer 0.50 voxels\nnormals 0.90")
     thin = replace(row.surface, recall_thin=0.4)
     assert caption(replace(row, surface=thin)).endswith("normals 0.90, thin 0.40")
     assert caption(replace(row, regions=Regions(), surface=SurfaceFigures())) == "MAD 1.50 mm"
