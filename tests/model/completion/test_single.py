@@ -85,6 +85,29 @@ def test_the_grid_is_around_the_things_and_no_wall_is_one(pitch: float, wall: fl
     assert -0.06 - 0.15 - 0.02 < corner[1] < corner[1] + size[1] < 0.06 + 0.15 + 0.02
 
 
+def small_thing_alone(view: Views) -> bool:
+    """Whether the grid is that around a thing of 6 cm in the middle of the table."""
+    grid = find_table(view)
+    size = np.array(grid.shape[:0:-1]) * VOXEL
+    return bool(np.allclose(grid.to_grid[:3, :3], np.eye(3), atol=0.02) and (np.abs(size - 0.36) < 0.06).all()
+                and np.allclose(-grid.to_grid[:2, 3] + size / 2, 0, atol=0.04))
+
+
+def test_a_board_behind_the_things_is_none_of_them() -> None:
+    """It has more pixels in the middle of the picture than they have, but is taller than things are."""
+    assert small_thing_alone(look_down([box(0.06, 0.06, 0.06), box(0.6, 0.02, 0.9).move(y=0.35)], 30))
+
+
+def test_what_is_in_the_middle_of_the_picture_is_taken() -> None:
+    assert small_thing_alone(look_down([box(0.06, 0.06, 0.06), box(0.14, 0.3, 0.3).move(x=-0.4)], 45))
+
+
+def test_a_wall_larger_than_the_table_is_not_taken_for_it() -> None:
+    view = look_down([box(0.06, 0.06, 0.06)], 15, wall=0.3)
+    assert (np.abs(view.depth[0] - np.median(view.depth[0])) < 0.3).mean() > 0.5  # most of it is wall
+    assert small_thing_alone(view)
+
+
 def at_origin(depth: np.ndarray) -> Views:
     return Views(depth, K, np.eye(3)[None], np.zeros((1, 3)))
 
