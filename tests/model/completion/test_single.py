@@ -99,7 +99,7 @@ def test_a_board_behind_the_things_is_none_of_them() -> None:
 
 
 def test_what_is_in_the_middle_of_the_picture_is_taken() -> None:
-    assert small_thing_alone(look_down([box(0.06, 0.06, 0.06), box(0.14, 0.3, 0.3).move(x=-0.4)], 45))
+    assert small_thing_alone(look_down([box(0.06, 0.06, 0.06), box(0.08, 0.1, 0.1).move(x=-0.4)], 45))
 
 
 def test_a_wall_larger_than_the_table_is_not_taken_for_it() -> None:
