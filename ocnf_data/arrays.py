@@ -29,7 +29,7 @@ Prefix = I64
 
 
 def as_numbers(value: npt.ArrayLike, where: object, field: str,
-            dtype: type[np.generic] | None = None) -> npt.NDArray[Any]:
+               dtype: type[np.generic] | None = None) -> npt.NDArray[Any]:
     """What an argument holds as one array, of `dtype` where one is given.
 
     Raises:

@@ -88,8 +88,8 @@ ARROWS = {
     "ocnf_model.completion":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "
         "ocnf_data.loading ocnf_data.meshes ocnf_data.octree ocnf_data.render ocnf_data.scenes "
-        "ocnf_data.terminal ocnf_data.views ocnf_model.checkpoint ocnf_model.devices "
-        "ocnf_model.network ocnf_model.octree ocnf_model.training",
+        "ocnf_data.sequences ocnf_data.terminal ocnf_data.views ocnf_model.checkpoint "
+        "ocnf_model.devices ocnf_model.network ocnf_model.octree ocnf_model.training",
     "ocnf_model.devices": "ocnf_data.errors",
     "ocnf_model.evaluation":
         "ocnf_data.arrays ocnf_data.encodings ocnf_data.errors ocnf_data.files ocnf_data.fusion "

@@ -13,6 +13,7 @@ import numpy as np
 
 from ocnf_data.arrays import F64, U8, Bool
 from ocnf_data.errors import OcnfError, missing_extra
+from ocnf_data.sequences.cube import measured_points
 from ocnf_data.views.cameras import Views
 from ocnf_model.completion.sample import SHRINK, SIZE
 from ocnf_model.completion.visible import LOWEST
@@ -70,7 +71,7 @@ def find_table(view: Views, where: object = "complete") -> TableGrid:
         OcnfError: code `empty`: no plane holds a fifth of the points, or nothing stands on it; `too_large`:
             the things do not fit into the network's grid.
     """
-    points = _points(view)
+    points = measured_points(view)
     if len(points) < 1000:
         raise OcnfError("too little was measured to find a table", code="empty", where=where,
                         found=f"{len(points)} pixels", expected="1000 or more")
@@ -95,15 +96,6 @@ def find_table(view: Views, where: object = "complete") -> TableGrid:
     to_grid[:3, :3] = turn
     to_grid[:3, 3] = -low[0], -low[1], (LOWEST - 1) * VOXEL - offset
     return TableGrid(to_grid, (_DEPTH, int(size[1]), int(size[0])))
-
-
-def _points(view: Views) -> F64:
-    """(N, 3) world points of the pixels that measured something."""
-    row, column = np.nonzero(np.isfinite(view.depth[0]) & (view.depth[0] > 0))
-    z = view.depth[0][row, column].astype(np.float64)
-    K = view.K[0]
-    rays = np.stack([(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1], np.ones_like(z)], axis=1)
-    return np.asarray((rays * z[:, None] - view.T[0]) @ view.R[0])
 
 
 def _plane(points: F64, camera: F64, up: F64) -> tuple[F64, float]:

@@ -34,9 +34,10 @@ _FEW = 0.3  # less than this share agreeing is worth a warning
 _BETTER = 0.1  # another reading has to agree by this much more to be named
 _PAST = 0.05  # poses are in doubt if more than this share is seen past; under wrong ones it is 10 to 40 %
 _THROUGH = 0.08  # so much seen past is worth a warning by itself; right readings of real scans have up to 5 %
-_FACTORS = (0.001, 0.1, 0.2, 0.25, 0.5, 2, 4, 5, 10, 1000)  # of the depth, as mixed-up units have them
+_MILLIMETRES = 1000  # of the depth: as if the translations were millimetres
+_FACTORS = (0.001, 0.1, 0.2, 0.25, 0.5, 2, 4, 5, 10, _MILLIMETRES)  # as mixed-up units have them
 _SCALED, _CLEARED = 0.05, 0.02  # a factor is named if so much more agrees, and so much less is seen past
-_MILLIMETRES, _SURE = 1e-3, 0.6  # metres; share that has to agree under another reading to be sure of it
+_SURE = 0.6  # share that has to agree under another reading to be sure of it
 _CLOSE = 10 * _LEAST  # metres; nearer than that almost anything is within the least tolerance
 _FAR = 20  # times the typical depth: cameras this far apart are not of one scan
 _SAMPLE = 100_000  # depths that the typical one is of
@@ -89,21 +90,18 @@ def agreement(views: Views, axes: Axes = Axes.OPENCV) -> Agreement:
     compared, share, past = _share(views, to_world)
     flip = FLIP if axes is Axes.OPENGL else np.eye(4)
     _, inverse, _ = _share(views, np.linalg.inv(to_world @ flip) @ flip)
-    _, millimetres, _ = _share(views, _with_translations(to_world, _MILLIMETRES))
     _, flipped, _ = _share(views, to_world @ FLIP)
-    factor, scaled, lead = 1.0, share, share - past
+    factor, scaled, lead, millimetres = 1.0, share, share - past, float("nan")
     for tried in _FACTORS:  # depth and translations are lengths: to divide the one is to multiply the other
-        n, more, less = _share(views, _with_translations(to_world, 1 / tried))
+        small = to_world.copy()
+        small[:, :3, 3] /= tried
+        n, more, less = _share(views, small)
+        if tried == _MILLIMETRES:
+            millimetres = more
         clearly = more > max(share + _SCALED, _SURE) and less < past - _CLEARED
         if n >= _ENOUGH and clearly and more - less > lead:
             factor, scaled, lead = tried, more, more - less
     return Agreement(compared, share, inverse, millimetres, past, flipped, factor, scaled)
-
-
-def _with_translations(to_world: F64, factor: float) -> F64:
-    scaled = to_world.copy()
-    scaled[:, :3, 3] *= factor
-    return scaled
 
 
 def judge(found: Agreement, views: Views, where: object) -> list[str]:
